@@ -257,17 +257,60 @@ def test_supply_currents_need_a_duty_and_proportional_gains_a_goal() -> None:
         Signals(**signals("current", proportional_gain=dict.fromkeys(JOINTS, 1.0)))
 
 
+def test_what_is_stated_and_not_used_is_said() -> None:
+    """Goals without a proportional gain, and currents of the supply beside those of the motors."""
+    columns = table(HARD.logged(Plant(noise=0.01).run("log", 16.0, seed=3), "supply"))
+    columns |= {f"goal {joint}": columns[f"q {joint}"] + columns[f"duty {joint}"] / GAIN for joint in JOINTS}
+    log = read_run(columns, signals("current", "goal", "supply_current"))
+    log = replace(log, log=replace(log.log, signals=Signals(**signals("current", "goal", "supply_current"))))
+    notes = [str(note) for note in with_voltages(reduce_runs(load_robot("five-bar"), [log]), {}).remarks]
+    assert notes == [
+        "the supply current of 'left' and 'right' is not used beside the current; remove one of them from the signals",
+        "the goal of 'left' and 'right' gives no gain, as the proportional gain is not stated; add 'proportional_gain' "
+        "to the signals",
+    ]
+
+
+@pytest.mark.parametrize(("key", "kind"), [("voltage", "current"), ("duty", "current"), ("goal", "position")])
+def test_one_column_is_not_two_signals(key: str, kind: str) -> None:
+    given = signals("current")
+    with pytest.raises(ValueError, match=f"is given both as a {kind} and as a {key}; give the column of the {key}"):
+        Signals(**given, **{key: given[kind]})
+
+
+def test_a_constant_supply_is_a_number() -> None:
+    columns = table(replace(HARD, sag=0.0).logged(Plant(noise=0.01).run("log", 16.0, seed=3), "duty"))
+    for supply in (24, "24.0"):
+        log = read_run(columns, signals("current", "duty", supply_voltage=supply))
+        assert [motor.ke for motor in equations([log])] == pytest.approx(GAINS, rel=0.01)
+        (note,) = [note.what for note in log.notes if note.kind == "side signals"]
+        assert note.endswith(f"are read duty (1) duty left, duty right; supply_voltage (V) {supply}")
+
+
+@pytest.mark.parametrize(("key", "factor", "most", "unit"), [("duty", 100, "1", "%"), ("voltage", 1000, "24", "mV")])
+def test_duties_and_voltages_beyond_their_supply_have_another_unit(
+    key: str, factor: float, most: str, unit: str
+) -> None:
+    made = MOTORS.logged(Plant().run("log", 16.0, seed=3), "supply")
+    columns = table(made) | {f"voltage {joint}": 24 * made.side["duty"].by_joint[joint] for joint in JOINTS}
+    columns |= {f"{key} {joint}": factor * columns[f"{key} {joint}"] for joint in JOINTS}
+    with pytest.raises(GtauError, match=rf"the {key} of 'left' reaches .*, where {most} is the most.*{key}: '{unit}'"):
+        read_run(columns, signals("current", key, "supply_voltage"))
+
+
 def test_voltages_that_say_nothing_of_a_motor_are_not_used() -> None:
     """A column that is no voltage of the motor; the reason is in the refusal, and in a note beside a payload."""
     bad = [run(1), run(2, mass=1.2)]
     rng = np.random.default_rng(1)
     noise = {joint: rng.standard_normal(len(bad[0].time)) for joint in JOINTS}
     bad = [replace(one, side=one.side | {"duty": replace(one.side["duty"], by_joint=noise)}) for one in bad]
-    with pytest.raises(GtauError, match="of the voltage of 'left' alone, which gives no gain"):
+    with pytest.raises(
+        GtauError, match=r"voltage of 'left' \(\d* % explained\) and 'right' \(.*\), which gives no gain"
+    ):
         identify(load_robot("five-bar"), bad[:1])
     result = identify(load_robot("five-bar"), bad)
     assert result.accepted
-    assert len([note for note in result.notes if note.kind == "voltage"]) == 2
+    assert [note.joints for note in result.notes if note.kind == "voltage"] == [JOINTS]
     assert not result.motors
 
 
@@ -286,10 +329,9 @@ def test_a_duty_in_place_of_the_current_gives_no_gain(tmp_path: Path) -> None:
         assert result.drive_gains[joint].half_width < 1.0  # %
     back_emf = GAINS[0] ** 2 / MOTORS.resistance
     assert result.parameters["fv_left"].value == pytest.approx(CHI["fv_left"] + back_emf, rel=0.05)
-    notes = [note.what for note in result.notes if note.kind == "voltage"]
-    assert len(notes) == 2
-    assert "'left' is a voltage or duty: its gain is the torque constant over the resistance" in notes[0]
-    assert "viscous friction contains the back-EMF" in notes[0]
+    (note,) = [note.what for note in result.notes if note.kind == "voltage"]
+    assert "'left' and 'right' is a voltage or duty: its gain is the torque constant over the resistance" in note
+    assert "viscous friction contains the back-EMF" in note
 
 
 def test_consistent_parameters_rest_on_voltages_too() -> None:

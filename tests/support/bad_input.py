@@ -168,7 +168,7 @@ LOGS = [
 EXPERIMENTS = [
     Case(
         "joints that differ",
-        "joint 'left' has a position but no current, and 'lift' a current but no position",
+        "joint 'left' has a position but no current, and 'lift' has a current but no position",
         experiment(("current: {left", "current: {lift")),
     ),
     Case(

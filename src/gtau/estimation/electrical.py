@@ -17,12 +17,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from gtau.errors import quoted
 from gtau.estimation.effects.effect import hats
 from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Estimates, MotorEquation
 from gtau.estimation.results.estimate import Estimate
-from gtau.findings import Finding, Grade, listed, percent
+from gtau.findings import Finding, Grade, enumerated, listed, percent
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.preparation.filters import position_filter
@@ -48,38 +49,53 @@ RESISTANCE = 0.1  # relative standard deviation of a stated resistance: windings
 
 
 def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
-    """Fit the voltage equation of each joint whose voltages are logged; a note says why one gives no gain."""
-    equations, notes = list[MotorEquation](), list[Finding]()
+    """Fit the voltage equation of each joint whose voltages are logged; notes say why some give no gain."""
+    equations, causes = list[MotorEquation](), dict[tuple[str, str], dict[str, str]]()  # by text and advice
+    signals, unstated = dataset.runs[0].log.signals, Drive(convention="dc")
 
-    def note(joint: str, text: str, advice: str) -> None:
-        notes.append(Finding("voltage", (joint,), text=text, advice=advice, grade=Grade.INFORMATION))
+    def note(joint: str, text: str, advice: str, own: str = "") -> None:
+        causes.setdefault((text, advice), {})[joint] = f"{quoted(joint)}{own}"
 
-    unstated = Drive(convention="dc")
     for joint in dataset.robot.motors:
         drive = drives.get(joint, unstated)
         parts = (_rows(prepared, joint, drive) for prepared in dataset.prepared)
         rows = [part for part in parts if part is not None]
-        signals = dataset.runs[0].log.signals
+        logged = {key for run in dataset.runs for key, values in run.side.items() if joint in values.by_joint}
         if signals is not None and has_word(signals.command.get(joint, ""), NO_CURRENT):
-            text = f"the current of '{joint}' is a voltage or duty: its gain is the torque constant over the resistance"
+            text = "the current of … is a voltage or duty: its gain is the torque constant over the resistance"
             note(joint, f"{text}, and its viscous friction contains the back-EMF", "log the current, too")
-        logged = [run.side[key].by_joint for run in dataset.runs for key in ("voltage", "duty") if key in run.side]
-        if not any(joint in columns for columns in logged):
+        if signals is not None and "supply_current" in logged and not signals.supplied:
+            text = "the supply current of … is not used beside the current"
+            note(joint, text, "remove one of them from the signals")
+        if not logged & {"voltage", "duty"}:
+            if "goal" in logged:
+                text = "the goal of … gives no gain, as the proportional gain is not stated"
+                note(joint, text, "add 'proportional_gain' to the signals")
             continue
         if sum(part.shape[1] for part in rows) < FEWEST:
-            text = f"the duty of '{joint}' gives no gain: neither its supply voltage nor its resistance is known"
+            text = "the duty of … gives no gain: neither its supply voltage nor its resistance is known"
             note(joint, text, "add 'supply_voltage' to the signals, or 'resistance' to its entry under 'drives'")
             continue
         equation = _equation(joint, rows, drive)
         if equation.explained < EXPLAINED:
-            share = percent(equation.explained, ".0f")
-            text = f"current and speed explain {share} of the voltage of '{joint}' alone, which gives no gain"
-            note(joint, text, "check that voltage (or duty) and current are of the motor, their units and clock")
+            text = "current and speed alone do not explain the voltage of …, which gives no gain"
+            advice = "check that voltage (or duty) and current are of the motor, their units and clock"
+            note(joint, text, advice, f" ({percent(equation.explained, '.0f')} explained)")
         elif not np.sqrt(equation.covariance[0, 0]) < LOST * abs(equation.ke):
-            text = f"the voltage of '{joint}' does not show its back-EMF, and gives no gain"
+            text = "the voltage of … does not show its back-EMF, and gives no gain"
             note(joint, text, "move the joint faster")
         else:
             equations.append(equation)
+    notes = [
+        Finding(
+            "voltage",
+            tuple(of),
+            text=text.replace("…", enumerated([*of.values()])),
+            advice=advice,
+            grade=Grade.INFORMATION,
+        )
+        for (text, advice), of in causes.items()
+    ]
     stated = {joint for joint, drive in drives.items() if "convention" in drive.model_fields_set}
     if assumed := [motor.joint for motor in equations if motor.joint not in stated]:
         text = f"the voltages of {listed(assumed)} are taken for voltages of DC motors, as no 'convention' is stated"

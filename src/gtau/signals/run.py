@@ -290,7 +290,7 @@ def read_parts(
     samples = read_logs(paths, signals, units, notes, part, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)
     samples = replace(samples, channels=channels)
-    side, runs = read_side_signals(paths, signals, units, part), list[Run]()
+    side, runs = read_side_signals(paths[0], signals, units, notes, part), list[Run]()
     stem, load = paths[0].name if paths[0].is_dir() else paths[0].stem, as_payload(payload)
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
         driven, beside, unsure = motor_currents(piece, side, signals)

@@ -233,16 +233,11 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
                 "give the columns of either 'current' or 'torque' (or of 'motor_torque', with a 'gear_ratio'), one of "
                 "them"
             )
-        missing = next((joint for joint in self.position if joint not in self.command), None)
-        extra = next((joint for joint in self.command if joint not in self.position), None)
-        if missing and extra:
-            raise ValueError(
-                f"joint '{missing}' has a position but no {kind}, and '{extra}' a {kind} but no position; give "
-                "both the same joints, the joints with motors"
-            )
-        if joint := missing or extra:
-            has, lacks = ("position", kind) if missing else (kind, "position")
-            raise ValueError(f"joint '{joint}' has a {has} but no {lacks}; add its {lacks} column")
+        lacks = [f"'{joint}' has a position but no {kind}" for joint in self.position if joint not in self.command]
+        has = [f"'{joint}' has a {kind} but no position" for joint in self.command if joint not in self.position]
+        if lacks or has:
+            one = ", and ".join((*lacks[:1], *has[:1]))
+            raise ValueError(f"joint {one}; give both the same joints, the joints with motors")
         return self
 
     @model_validator(mode="after")
@@ -262,18 +257,6 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
         for key, accuracy in self.calibration:
             if accuracy is not None and key not in calibrated:
                 raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
-        sensors = [(name, *pair) for name in SENSORS for pair in (getattr(self, name) or {}).items()]
-        for key, joint, column in sensors:
-            if joint not in self.position:
-                raise ValueError(
-                    f"'{key}' names the joint '{joint}', which has no position; correct the name, or remove the "
-                    "sensor of a joint without motor"
-                )
-            if column in self.command.values():
-                raise ValueError(
-                    f"the column '{column}' is given both as a {self.kind} and as a {key}; '{key}' is for sensors "
-                    "behind the gear, not for torques computed from motor currents"
-                )
         return self
 
     @model_validator(mode="after")
@@ -295,11 +278,15 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
         if self.supplied and not (self.duty or gains):
             raise ValueError("'supply_current' needs a 'duty'; add its columns, or 'goal' and 'proportional_gain'")
         named: dict[str, Mapping[str, Any]] = {"gear_ratio": ratios, "proportional_gain": gains}
+        named |= {name: getattr(self, name) or {} for name in SENSORS}
         named |= {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
-        for key, joints in named.items():
-            for joint in joints:
-                if joint not in self.position:
-                    raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")
+        used = dict.fromkeys(self.position.values(), "position") | dict.fromkeys(self.command.values(), self.kind)
+        for key, (joint, column) in ((key, pair) for key, columns in named.items() for pair in columns.items()):
+            if joint not in self.position:
+                raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")
+            if column in used and not (self.supplied and key == "supply_current"):
+                both = f"the column '{column}' is given both as a {used[column]} and as a {key}"
+                raise ValueError(f"{both}; give the column of the {key}, or remove '{key}'")
         return self
 
 

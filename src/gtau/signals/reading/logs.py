@@ -103,15 +103,15 @@ def _refuse_missing(names: Collection[str], table: LogTable) -> None:
             raise GtauError(f"{path} has {counts[name]} columns named '{name}'; rename them.")
         if counts[name]:
             continue
+        there = f"the columns are {listed(columns, 40)}"
         if table.numbered:
-            raise GtauError(
-                f"there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
-                f"1 to {len(columns)}; copy the line with the names from a log that has one, or give these numbers.",
-                source=path,
+            there = (
+                f"the file has no header, so its {len(columns)} columns are named 1 to {len(columns)}; copy the line "
             )
-        hint = meant(name, [column for column in columns if column not in names])
-        the = f"{hint} The" if hint else "the"
-        raise GtauError(f"there is no column '{name}'; {the} columns are {listed(columns, 40)}.", source=path)
+            there += "with the names from a log that has one, or give these numbers"
+        elif hint := meant(name, [column for column in columns if column not in names]):
+            there = f"{hint} T{there[1:]}"
+        raise GtauError(f"there is no column '{name}'; {there}.", source=path)
 
 
 def read_logs(
@@ -351,48 +351,51 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
     n = len(signals.joints)
     columns = [*signals.position.values(), *pose.columns]
     scale = [*units.scale(signals)[0], *units.pose.scale(pose), 1.0]
-    rows = _complete_rows(path, columns, signals, units, part, scale)
-    if len(rows) < FEWEST:
-        raise GtauError(
-            f"{len(rows)} rows hold all of the pose ({', '.join(pose.columns)}) and the positions; give the "
-            "columns that hold them, or remove 'pose' from the signals.",
-            source=path,
-        )
+    rows = _complete_rows(path, columns, signals, units, part, "pose", scale)
     return LoggedPoses(path.stem + part.label, rows[:, -1], rows[:, :n], rows[:, n:-1])
 
 
 def read_side_signals(
-    paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE
+    path: Path, signals: Signals, units: Units, notes: list[Finding], part: Part = WHOLE
 ) -> dict[str, SideValues]:
-    """Read the side signals of a run, by key, from the log of its positions; slow ones as means over ``KEPT`` parts."""
-    values = {}
+    """Read the side signals of a run, by key, from the log of its positions; slow ones as means over ``KEPT`` parts.
+
+    A supply voltage may be a number, V; a note lists what was read.
+    """
+    values, read = {}, []
     for signal in SIDE_SIGNALS:
         by_joint = signals.side_columns(signal)
         columns = list(dict.fromkeys(by_joint.values()))
         if not columns:
             continue
-        rows = _complete_rows(Path(paths[0]), columns, signals, units, part)
-        if not len(rows):
-            raise GtauError(
-                f"no row holds a number in the {signal.key} columns ({', '.join(columns)}); correct them, or "
-                f"remove '{signal.key}' from the signals.",
-                source=paths[0],
-            )
+        unit, joints = getattr(units, signal.key), dict[str, np.ndarray]()
+        shown = unit or ("in the unit of positions" if signal.position else signal.units[0])
+        read.append(f"{signal.key} ({shown}) {listed(columns)}")
+        constant = signal.key == "supply_voltage" and all(re.fullmatch(r"\d+\.?\d*", column) for column in columns)
+        if constant and not {*columns} & {*find_columns(path).columns}:
+            rows = np.array([[*map(float, columns), 0.0]])
+        else:
+            rows = _complete_rows(path, columns, signals, units, part, signal.key)
         if signal.slow:
             rows = np.array([some.mean(axis=0) for some in np.array_split(rows, min(KEPT, len(rows)))])
-        unit, joints = getattr(units, signal.key), {}
         for joint, column in by_joint.items():
             own = units.position_unit(joint) if signal.position and not unit else None
             joints[joint] = (si_factor(own, "position") if own else 1.0) * rows[:, columns.index(column)]
         values[signal.key] = SideValues(rows[:, -1], joints, unit or signal.units[0])
+    if read:
+        notes.append(reading("side signals", text=f"beside positions and {signals.kind}s are read {'; '.join(read)}"))
     return values
 
 
 def _complete_rows(
-    path: Path, columns: Sequence[str], signals: Signals, units: Units, part: Part, scale: ArrayLike = 1.0
+    path: Path, columns: Sequence[str], signals: Signals, units: Units, part: Part, key: str, scale: ArrayLike = 1.0
 ) -> np.ndarray:
-    """Read the rows of a log that hold a number in each of some columns: these and the time in s, times ``scale``."""
+    """Read the rows that hold a number in all columns of a ``key`` of the signals: these and the time in s, scaled."""
     table = read_log(path, (*signals.time_columns, *columns))
     timed = _timed([table], [(0, name) for name in columns], signals, units.scale(signals)[2], part.rows(table))
     parts = part.of((row, values) for row, values, _ in timed)
-    return store((values[np.isfinite(values).all(axis=1)] * scale for _, values in parts), (len(columns) + 1,))
+    rows = store((values[np.isfinite(values).all(axis=1)] * scale for _, values in parts), (len(columns) + 1,))
+    if len(rows) < (FEWEST if key == "pose" else 1):
+        text = f"{len(rows)} rows hold a number in all {key} columns ({', '.join(columns)})"
+        raise GtauError(f"{text}; correct them, or remove '{key}' from the signals.", source=path)
+    return rows

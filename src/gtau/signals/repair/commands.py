@@ -257,6 +257,7 @@ def _moves_at(samples: Samples, j: int, mover: int, level: float) -> bool:
     return False
 
 
+BEYOND, VOLTS = 1.5, 1000.0  # times the largest voltage, where units are off by 100 and 1000; V, of any supply
 SURE = 0.1  # of the largest duty: below, the current of the supply says nothing of the motor's
 BOTH_WAYS = 0.05  # share of the samples in which a motor is driven in each direction
 SMOOTHED = 0.03  # s, of the speeds by which a motor drives or brakes
@@ -274,6 +275,7 @@ def motor_currents(
     duty, and which commands (N, c) the duty is too small for.
     """
     time, joints, gains = samples.time, samples.joints, signals.proportional_gain or {}
+    _refuse_beyond_supply(samples, side)
     errors = {}
     if goal := side.get("goal"):
         errors = {j: goal.si(j, time) - samples.position[:, k] for k, j in enumerate(joints) if j in goal.by_joint}
@@ -298,6 +300,18 @@ def motor_currents(
         command = np.array(command)
         command[:, j] = current / divisor
     return replace(samples, command=command), side, unsure
+
+
+def _refuse_beyond_supply(samples: Samples, side: Mapping[str, SideValues]) -> None:
+    """Refuse duties above 1 and voltages above the supply's, whose unit is wrong."""
+    logged = {(key, joint): np.abs(side[key].si(joint, samples.time)) for key in side for joint in side[key].by_joint}
+    for joint in samples.joints:
+        volts = np.max(logged.get(("supply_voltage", joint), VOLTS))
+        for key, most, unit in (("duty", 1.0, "%"), ("voltage", volts, "mV")):
+            reached = np.quantile(logged.get((key, joint), 0.0), 0.999)
+            if reached > BEYOND * most:
+                text = f"the {key} of '{joint}' reaches {reached:.3g}, where {most:.3g} is the most"
+                raise GtauError(f"{text}; write its unit (units: {{{key}: '{unit}'}}).", source=samples.name)
 
 
 def _signed(size: np.ndarray, drive: np.ndarray, position: np.ndarray, time: np.ndarray, supplied: bool) -> np.ndarray:
