@@ -335,7 +335,7 @@ def test_poses_that_are_not_there(folder: Path) -> None:
     for old, new, words in (
         ("[angle]", "[angel]", "did you mean 'angle'"),
         ("source: controller", "source: controller, body: hand", "names the body 'hand'"),
-        ("  pose: {source", "  # pose: {source", "units of 'pose' are given"),
+        ("  pose: {source", "  # pose: {source", "a unit of 'pose' is given"),
     ):
         assert old in text
         path.write_text(text.replace(old, new))

@@ -149,7 +149,7 @@ def _requirements(result: IdentifiedModel, experiment: Experiment, validation: V
     if require.torque_error is not None:
         yield _torque_requirement(require.torque_error, result.residuals)
         for note in unread:
-            yield Requirement("torque_error", require.torque_error, None, run=note.source or "validation")
+            yield _torque_requirement(require.torque_error, (), note.source or "validation")
         for run in runs:
             try:
                 errors = prediction.validate(result, run)
@@ -164,10 +164,8 @@ def _requirements(result: IdentifiedModel, experiment: Experiment, validation: V
 
 
 def _torque_requirement(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
-    worst = max(errors, key=lambda error: error.relative, default=None)
-    if worst is None:
-        return Requirement("torque_error", limit, None, run=run)
-    return Requirement("torque_error", limit, worst.relative, worst.joint, run)
+    found, joint = max(((error.relative, error.joint) for error in errors), default=(None, ""))
+    return Requirement("torque_error", limit, found, joint, run)
 
 
 KINDS = ("position", "current", "torque", "time")

@@ -35,11 +35,9 @@ def cutoff_frequency(
     Ten times the bandwidth, and at least 5 Hz, keeps the motion to 1e-8. If the signal ends below that, the cut-off is
     the ``end``, where motion and noise are equally strong: Wiener's filter, which minimises the error of the
     accelerations, halves both there, as this filter does at its cut-off. The cut-off is at least 2.5 times the
-    bandwidth, where the gain at the bandwidth is 1 - 7e-4, and high enough that the ends of the filter take at most 12
-    % of runs with a mean duration of ``seconds``: on two runs of 5 s of an xMate7, 2.5 Hz instead of 10 Hz raise the
-    torque errors on a third from 17 to 28 % (geometric mean). Nothing is filtered above half the Nyquist frequency,
-    where little noise remains and rows are not decimated: the torques would keep what the positions lose (on the UPV
-    robot at 100 Hz, 34 Hz raise a leg's torque error from 11 to 15 %).
+    bandwidth, where the gain at the bandwidth is 1 - 7e-4, and high enough that the ends of the filter take at most
+    ``LARGEST_ENDS`` of runs with a mean duration of ``seconds``. Nothing is filtered above half the Nyquist frequency,
+    where little noise remains and rows are not decimated: the torques would keep what the positions lose.
     """
     ends = cutoff_at_ends(seconds)
     cutoff = max(10 * bandwidth, 5.0, ends)

@@ -241,7 +241,7 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
         return self
 
     @model_validator(mode="after")
-    def _bodies_and_sensors(self) -> Signals:
+    def _bodies(self) -> Signals:
         base, measured = self.base, list(self.measured)
         if self.pose is not None and base is not None:
             raise ValueError(

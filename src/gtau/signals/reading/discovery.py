@@ -93,8 +93,8 @@ class Draft:
     robot: Mapping[str, Any]
     payloads: Mapping[Path, tuple[float, ...]]
     reasons: Reasons
-    open: Mapping[str, str]
-    unused: Unused
+    open: Mapping[str, str] = field(default_factory=dict)
+    unused: Unused = Unused()
     stated: frozenset[Path] = frozenset()
     names: Mapping[str, str] = field(default_factory=dict)
     urdf: str | None = None
@@ -164,7 +164,6 @@ def discover(
         robot={key: entry for key, entry in entries.items() if entry is not None},
         payloads={run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))},
         reasons=Reasons(why_time, how, "units as written in the log" if written else why_unit, log.velocity),
-        open={},
         unused=unused,
     )
     open_ |= doubts | _open_points(draft, by_name)

@@ -80,8 +80,6 @@ def draft_as(recording: Recording, logs: Sequence[Path], robot: str | None, mass
         robot={} if robot is None else {"file": robot},
         payloads={log: read for log in logs if (read := masses_in_name(log.name))},
         reasons=Reasons(reason, reason, reason),
-        open={},
-        unused=Unused(),
     )
     return with_masses(draft, _by_log(draft, masses))
 

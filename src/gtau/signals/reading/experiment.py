@@ -174,20 +174,13 @@ class Experiment(Keys):
         signals: Signals | None = info.data.get("signals")
         if signals is None:
             return units
-        absent = "torque" if signals.kind == "current" else "current"
-        if getattr(units, absent) is not None:
-            raise ValueError(f"a unit of '{absent}' is given, but the signals hold '{signals.kind}'; remove it")
-        if units.time is not None and signals.rate is not None:
-            raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
-        for kind in LINK_SIDE:
-            if getattr(units, kind.calibration) is not None and not signals.sensors(kind):
-                raise ValueError(
-                    f"a unit of '{kind.calibration}' is given, but the signals hold no {kind.name}; remove it"
-                )
-        side = {signal.key: signals.side_columns(signal) for signal in SIDE_SIGNALS}
-        for key, columns in {"pose": signals.pose, "wrenches": signals.all_wrenches, **side}.items():
-            if key in units.model_fields_set and not columns:
-                raise ValueError(f"units of '{key}' are given, but the signals hold none; remove them")
+        held: dict[str, Any] = {kind.calibration: signals.sensors(kind) for kind in LINK_SIDE}
+        held |= {"current": signals.current, "torque": signals.torque or signals.motor_torque}
+        held |= {"time": signals.time_columns, "pose": signals.pose, "wrenches": signals.all_wrenches}
+        held |= {signal.key: signals.side_columns(signal) for signal in SIDE_SIGNALS}
+        for key, columns in held.items():
+            if key in units.model_fields_set and getattr(units, key) is not None and not columns:
+                raise ValueError(f"a unit of '{key}' is given, but the signals hold no {key}; remove it")
         for by_joint in vars(units).values():
             if isinstance(by_joint, dict):
                 _refuse_unknown_joints(by_joint, signals)

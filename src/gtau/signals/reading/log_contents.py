@@ -32,7 +32,7 @@ FORWARD = 0.98  # share of the steps of a time that are not back: a row out of o
 USUAL_RATES = 50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000  # Hz
 TIME_UNITS = COMMON["time"]
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
-ADDED = 50  # samples over which velocities are integrated
+ADDED = 50  # samples over which velocities are integrated: in one a position moves little more than its noise
 WRAPS = 5.0  # steps that 95 % stay below; a larger one by a turn is a wrap (300 to 1000 of a Gen3), not a motion in deg
 
 
@@ -348,11 +348,7 @@ def _pairs(
 
 
 def _rate_of_derivative(position: np.ndarray, velocity: np.ndarray) -> float | None:
-    """Find the rate, Hz, at which velocities integrated over some samples match the positions; None where none does.
-
-    From one sample to the next a position moves little more than its noise, which makes the rate small: of 240 logs
-    simulated at 97 Hz with noise of up to a step, central differences found 56 to 97 Hz, this 96.8 to 97.3.
-    """
+    """Find the rate, Hz, at which velocities integrated over ``ADDED`` samples match the positions; None without."""
     span, position = min(ADDED, len(position) // 4), _continuous(position)
     total = np.concatenate([[0.0], np.cumsum(np.nan_to_num((velocity[1:] + velocity[:-1]) / 2))])
     moved, added = position[span:] - position[:-span], total[span:] - total[:-span]

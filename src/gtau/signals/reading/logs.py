@@ -146,12 +146,10 @@ def read_logs(
     if stamped:
         inside, commands_at = _aligned(path, paths[-1], signals, time_scale, notes)
         rows = inside[rows.start : rows.stop]
-    columns = [(0, name) for name in positions]
-    if not stamped:
-        columns += [(len(files) - 1, name) for name in commands]
+    columns = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamped]
 
     def parts() -> Iterator[tuple[int, np.ndarray]]:
-        for row, values, done in _timed(files, columns, signals, time_scale, rows):
+        for row, values, done in _timed(files, columns, signals.rate or signals.time_columns, time_scale, rows):
             progress(done)
             logged, time = values[:, :-1], values[:, -1]
             if commands_at is not None:
@@ -212,20 +210,26 @@ def _labels(signals: Signals) -> Iterator[str]:
     yield from (label for wrench in signals.all_wrenches for label in wrench.labels)
 
 
+Clock = Sequence[str] | float
+"""Columns of the time, or the rate (Hz) of a log without one."""
+
+
 def _timed(
-    files: Sequence[LogTable], columns: Sequence[tuple[int, str]], signals: Signals, scale: float, rows: range = ALL
+    files: Sequence[LogTable], columns: Sequence[tuple[int, str]], clock: Clock, scale: float, rows: range = ALL
 ) -> Iterator[tuple[int, np.ndarray, float]]:
     """Yield the first row's number, columns of files (M, .) with the time in s behind them, and the fraction read."""
     names = [(k, name) for k, file in enumerate(files) for name in file.columns]
     order = [names.index(column) for column in columns]
-    at_times = [names.index((0, name)) for name in signals.time_columns]
+    stamps = () if isinstance(clock, float) else clock
+    at_times = [names.index((0, name)) for name in stamps]
     row = rows.start
     for values, done in _side_by_side(files, rows):
-        _refuse_clocks(files[0].path, {name for file in files for name in file.clocks}, signals.time_columns, scale)
-        if signals.rate is None:
-            time = _seconds(values[:, at_times], scale)
+        _refuse_clocks(files[0].path, {name for file in files for name in file.clocks}, stamps, scale)
+        if isinstance(clock, float):
+            time = np.arange(row, row + len(values)) / clock
         else:
-            time = np.arange(row, row + len(values)) / signals.rate
+            seconds, *nanoseconds = values[:, at_times].T
+            time = seconds + nanoseconds[0] * 1e-9 if nanoseconds else seconds * scale
         yield row, np.column_stack([values[:, order], time]), done
         row += len(values)
 
@@ -238,10 +242,6 @@ def _refuse_clocks(path: Path, clocks: set[str], times: Sequence[str], scale: fl
     if clocks and scale != 1.0:
         text = f"column '{min(clocks)}' holds dates, clock times or durations, which are read in s"
         raise GtauError(f"{text}; remove the unit of the time (units: time).", source=path)
-
-
-def _seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
-    return stamps[:, 0] * scale if stamps.shape[1] == 1 else stamps[:, 0] + stamps[:, 1] * 1e-9
 
 
 def _side_by_side(files: Sequence[LogTable], rows: range) -> Iterator[tuple[np.ndarray, float]]:
@@ -301,25 +301,19 @@ def _aligned(
 
 def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
     """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first."""
-    file = read_log(path, (*stamps, *commands))
-    at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
-    parts, row, last, count = [], 0, -np.inf, 0
-    for values, _ in file.blocks():
-        _refuse_clocks(path, file.clocks, stamps, scale)
+    file, parts, last = read_log(path, (*stamps, *commands)), list[np.ndarray](), -np.inf
+    for row, values, _ in _timed([file], [(0, name) for name in commands], stamps, scale):
         complete = np.isfinite(values).all(axis=1)
-        time = _seconds(values[:, at_stamps], scale)
-        steps = np.diff(time[complete], prepend=last)
+        steps = np.diff(values[complete, -1], prepend=last)
         if (steps < 0).any():
             at = row + int(np.flatnonzero(complete)[np.argmax(steps < 0)])
             raise GtauError(
                 f"{path}, {file.places([at], 1)}: the time of the {what} goes back; cut the log there into two runs, "
                 "or correct the column."
             )
-        last = float(time[complete][-1]) if complete.any() else last
-        complete[complete] = steps > 0
-        parts.append(np.column_stack([time[complete], values[np.ix_(complete, at_commands)]]))
-        row, count = row + len(values), count + len(parts[-1])
-    if count < 2:
+        last = values[complete, -1].max(initial=last)
+        parts.append(np.roll(values[complete][steps > 0], 1, axis=1))
+    if (count := sum(map(len, parts))) < 2:
         raise GtauError(f"{path} has {count} complete rows of {what}; give the log and columns that hold them.")
     return store(parts, (1 + len(commands),))
 
@@ -327,7 +321,7 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
 def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
     """Read the times in s of all rows of a log, (N,); ``scale`` converts their columns."""
     table = read_log(path, signals.time_columns or list(signals.position.values())[:1])
-    return store(values[:, -1] for _, values, _ in _timed([table], [], signals, scale))
+    return store(values[:, -1] for _, values, _ in _timed([table], [], signals.rate or signals.time_columns, scale))
 
 
 FEWEST = 20  # rows of a run that hold a pose
@@ -392,7 +386,8 @@ def _complete_rows(
 ) -> np.ndarray:
     """Read the rows that hold a number in all columns of a ``key`` of the signals: these and the time in s, scaled."""
     table = read_log(path, (*signals.time_columns, *columns))
-    timed = _timed([table], [(0, name) for name in columns], signals, units.scale(signals)[2], part.rows(table))
+    clock, wanted = signals.rate or signals.time_columns, [(0, name) for name in columns]
+    timed = _timed([table], wanted, clock, units.scale(signals)[2], part.rows(table))
     parts = part.of((row, values) for row, values, _ in timed)
     rows = store((values[np.isfinite(values).all(axis=1)] * scale for _, values in parts), (len(columns) + 1,))
     if len(rows) < (FEWEST if key == "pose" else 1):

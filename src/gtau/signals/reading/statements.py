@@ -212,8 +212,7 @@ def data_sheet_notes(
     """Compare estimates of gains and ``ia``, their values and standard deviations by name, with data sheets."""
     notes = []
     for joint, drive in drives.items():
-        gain, ia = ("gain", drive.gain, "gain"), ("rotor inertia", drive.inertia, "ia")
-        for what, sheet, kind in (gain, ia):
+        for what, sheet, kind in (("gain", drive.gain, "gain"), ("rotor inertia", drive.inertia, "ia")):
             value, std = estimates.get(Parameter(kind, joint), (None, None))
             if sheet is None or value is None:
                 continue
@@ -231,20 +230,10 @@ def data_sheet_notes(
 class PreparationSettings(Keys):
     """The key ``preparation`` of an experiment file; missing entries are chosen from the logs.
 
-    Attributes
-    ----------
-    bandwidth : float, optional
-        Of the motion, Hz.
-    position_filter : float or "none", optional
-        Cut-off of the low-pass of the positions, Hz.
-    decimation : int, optional
-        Samples of the slowest log per row of the regression.
-    delay : float
-        Lag of the currents (or torques) behind the positions in the logs, s; it is compensated.
-    least_speed : float, optional
-        Share of a joint's rms speed below which its rows are left out.
-    clock : {"stamps", "regular"}, optional
-        Whether samples were taken at their time stamps, or at a regular rate and stamped late.
+    ``bandwidth`` of the motion and cut-off of the ``position_filter`` in Hz; ``decimation``: samples of the slowest log
+    per row; ``delay`` (s) of currents or torques behind the positions, which is compensated; ``least_speed``: share of
+    a joint's rms speed below which rows are left out; ``clock``: whether samples were taken at their ``stamps``, or at
+    a ``regular`` rate and stamped late.
     """
 
     bandwidth: Positive | None = None

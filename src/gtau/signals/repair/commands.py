@@ -13,6 +13,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding, counted
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.formats import listed_joints
 from gtau.signals.reading.samples import Ends, Samples, extremes
 from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds, long_runs
 from gtau.signals.storage import block, blocks, spans, steps
@@ -112,7 +113,7 @@ def _stays(samples: Samples, held: list[Spell]) -> str:
         remedy = "those parts out (one run of that log for each part between them)"
     return (
         f"{samples.name}, {samples.place(spell.begin)}: the {channels[spell.channel].kind.name} of "
-        f"joint{'s' * (len(names) > 1)} {' and '.join(map(repr, names))} stays at {spell.value + 0.0:.6g} "
+        f"{listed_joints([*names])} stays at {spell.value + 0.0:.6g} "
         f"{' and '.join(times)} in full motion: {'it was not read' if spell.value else 'the motors were off'}; leave "
         f"{remedy}."
     )
