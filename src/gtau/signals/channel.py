@@ -68,6 +68,10 @@ class SideSignal:
     position: bool = False
 
 
+DEGREES = ("degC", "K", "s", "min", "h")  # or the time since the start
+HEAT_WORDS = frozenset(["temp", "temps", "temperature", "temperatures", "温度", "溫度", "온도"])
+GOAL = "goal less position, times a proportional gain, is the duty"  # its words are those of commands of positions
+SUPPLY_CURRENT = "over duty it is the motor's current, in place of 'current'"
 VOLTAGE = "beside currents it gives the drive gains without a payload"
 VOLT_WORDS = frozenset(["voltage", "voltages", "volt", "volts", "电压", "電壓", "電圧", "전압"])
 VOLT_BUSES = frozenset(["vbus", "vdc", "ubus"])
@@ -77,26 +81,12 @@ SI = {"mV": 1e-3, "%": 1e-2, "‰": 1e-3, "mA": 1e-3, "deg": np.pi / 180, "mm": 
 """Factors of units of side signals, other than 1, to SI units."""
 
 SIDE_SIGNALS = (
-    SideSignal(
-        "temperature",
-        units=("degC", "K", "s", "min", "h"),  # or the time since the start
-        words=frozenset(["temp", "temps", "temperature", "temperatures", "温度", "溫度", "온도"]),
-        effect="friction may depend on it",
-    ),
+    SideSignal("temperature", DEGREES, HEAT_WORDS, "friction may depend on it"),
     SideSignal("voltage", VOLTS, VOLT_WORDS, VOLTAGE, slow=False),
     SideSignal("duty", SHARES, frozenset(["duty", "pwm"]), f"times supply_voltage, {VOLTAGE}", slow=False),
     SideSignal("supply_voltage", VOLTS, VOLT_WORDS | VOLT_BUSES, f"times duty, {VOLTAGE}", slow=False),
-    SideSignal(
-        "supply_current", AMPERES, frozenset(["current", "ibus"]), "over duty it is the motor's current", slow=False
-    ),
-    SideSignal(
-        "goal",
-        units=("rad", "deg", "m", "mm"),
-        words=frozenset(),  # as commands of position have many names
-        effect="goal less position, times a proportional gain, is the duty",
-        slow=False,
-        position=True,
-    ),
+    SideSignal("supply_current", AMPERES, frozenset(["current", "ibus"]), SUPPLY_CURRENT, slow=False),
+    SideSignal("goal", ("rad", "deg", "m", "mm"), frozenset(), GOAL, slow=False, position=True),
 )
 """All side signals; their keys in files, their units, their columns in drafts and their place on a run follow."""
 

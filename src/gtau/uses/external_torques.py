@@ -139,8 +139,7 @@ def wrench_along_log(
             "has no interval; identify it from logs in which all joints move."
         )
     called, placement = frame
-    residual = np.array([errors[joint].rms for joint in prediction.joints])
-    relative = np.array([errors[joint].relative for joint in prediction.joints]) / 100
+    residual, relative = np.array([(errors[joint].rms, errors[joint].relative / 100) for joint in prediction.joints]).T
     external = prediction.predicted - prediction.measured
     spread = residual**2 + (relative * external) ** 2  # the second part: relative error of the model
     length = characteristic_length(result.robot)

@@ -84,10 +84,8 @@ class Prediction:
         return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in OF_JOINTS})
 
     def __repr__(self) -> str:
-        return (
-            f"Prediction({len(self.time)} samples of joints {', '.join(self.joints)}, {self.time[0]:.4g} to "
-            f"{self.time[-1]:.4g} s)"
-        )
+        span = f"{self.time[0]:.4g} to {self.time[-1]:.4g} s"
+        return f"Prediction({len(self.time)} samples of joints {', '.join(self.joints)}, {span})"
 
     def to_frame(self) -> pl.DataFrame:
         """Return the torques as a Polars table, one row per sample.
@@ -148,9 +146,7 @@ def _bands(time: np.ndarray, raw: np.ndarray, valid: np.ndarray, bandwidth: floa
 
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
 STEP = np.sqrt(2.0)  # between the cut-offs tried
-# Share by which position noise may raise the error. The error hardly depends on a cut-off below the noise (the
-# Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions may be faster than the logs.
-RAISED = 0.01
+RAISED = 0.01  # share by which noise may raise the error: the highest such cut-off, as other motions may be faster
 OF_JOINTS = ("predicted", "measured", "friction", "keep", "valid")
 NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
 

@@ -37,12 +37,9 @@ from gtau.signals.run import Run
 from gtau.uses.identify import require_same
 
 FRICTION_CHANGE = 0.2  # relative standard deviation of a model's friction on another day
-# Relative standard deviation of a gain on another day, where only one load is logged.
-GAIN_CHANGE = 0.03
-# Mean square move of the model's parameters or gains, in standard deviations, above which a log contradicts them.
-MODEL_APART = 5.0
-# Residual ratio above which an undeclared load is searched for: 1.13 to 2.4 on five UR10e logs, 21 with one.
-WORSE = 3.0
+GAIN_CHANGE = 0.03  # relative standard deviation of a gain on another day, where only one load is logged
+MODEL_APART = 5.0  # mean square move of the model's parameters or gains, in their standard deviations: contradicted
+WORSE = 3.0  # residual ratio above which an undeclared load is searched for
 
 
 @takes(model=("the result of gtau.identify or gtau.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)

@@ -147,15 +147,8 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
     edge = int(np.searchsorted(held[:signal_end], SPEED_POWER * held[signal_end - 1]))
     noise = np.exp(-level[end]) / band_gain[end] ** 2 * gain[:signal_end].sum()  # white, of the level in the valley
     ratio = float(held[signal_end - 1] / noise)
-    moves = moves or ratio > LEAST_SIGNAL
-    return JointSpectrum(
-        frequency=centre,
-        speed=band_means / band_gain,
-        acceleration=band_means,
-        end=float(centre[end]) if moves else np.nan,
-        bandwidth=float(frequency[edge]) if moves else np.nan,
-        signal_to_noise=ratio,
-    )
+    ends = (float(centre[end]), float(frequency[edge])) if moves or ratio > LEAST_SIGNAL else (np.nan, np.nan)
+    return JointSpectrum(centre, band_means / band_gain, band_means, *ends, ratio)
 
 
 def _peaks(values: np.ndarray, prominence: float) -> np.ndarray:

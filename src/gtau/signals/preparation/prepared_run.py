@@ -255,16 +255,9 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     within = ((max(start, kept.start), min(stop, kept.stop)) for start, stop in pieces)
     parts = zip(pieces, within, squares, strict=True)
     moved = [known if part == piece else gram(*part) for piece, part, known in parts if part[0] < part[1]]
-    return PreparedRun(
-        run=run,
-        preparation=preparation,
-        kept=kept,
-        moves=moves,
-        speeds=np.sum(moved, axis=0) / len(kept),
-        motor_to_joint_speed=ratios,
-        peaks=peaks,
-        notes=tuple(_notes(run, joint_spectra, preparation, np.any(ratios, axis=0))),
-    )
+    speeds = np.sum(moved, axis=0) / len(kept)
+    notes = tuple(_notes(run, joint_spectra, preparation, np.any(ratios, axis=0)))
+    return PreparedRun(run, preparation, kept, moves, speeds, ratios, peaks, notes)
 
 
 def _parts(samples: int) -> np.ndarray:
@@ -285,20 +278,13 @@ def _notes(
             yield Finding("joint at rest", (joint,), text=text, grade=Grade.INFORMATION)
     if noisy:
         shares = ", ".join(f"'{joint}' ({share:.0f} %)" for joint, share in noisy.items())
-        yield Finding(
-            "noisy speeds",
-            tuple(noisy),
-            text=f"position noise contributes much of the rms speed of {shares}: inertias are underestimated",
-            advice="move faster, or use --method iv or didim",
-            shown_as="position noise",
-        )
+        text = f"position noise contributes much of the rms speed of {shares}: inertias are underestimated"
+        advice = "move faster, or use --method iv or didim"
+        yield Finding("noisy speeds", tuple(noisy), text=text, advice=advice, shown_as="position noise")
     if (bandwidth := preparation.bandwidth) > CLOSE_TO_NYQUIST * run.updates:
-        yield Finding(
-            "sampling rate",
-            text=f"the bandwidth of the motion, {bandwidth:.3g} Hz, is close to the Nyquist frequency, "
-            f"{run.updates / 2:.4g} Hz: speeds and accelerations are inaccurate",
-            advice=f"log at {10 * bandwidth:.0f} Hz or more, or move more slowly",
-        )
+        nyquist = f"the Nyquist frequency, {run.updates / 2:.4g} Hz: speeds and accelerations are inaccurate"
+        text = f"the bandwidth of the motion, {bandwidth:.3g} Hz, is close to {nyquist}"
+        yield Finding("sampling rate", text=text, advice=f"log at {10 * bandwidth:.0f} Hz or more, or move more slowly")
 
 
 def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:

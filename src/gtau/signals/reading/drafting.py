@@ -72,15 +72,10 @@ def draft_logs(logs: Sequence[Path], robot: str | None = None, base: Any = None,
 
 def draft_as(recording: Recording, logs: Sequence[Path], robot: str | None, masses: Mapping[str, float]) -> Draft:
     """Draft an experiment from logs of a known recorder."""
-    reason = "as in the logs of the model"
-    draft = Draft(
-        logs=tuple((log,) for log in logs),
-        signals=recording.signals,
-        units=recording.units.model_dump(mode="json", exclude_defaults=True),
-        robot={} if robot is None else {"file": robot},
-        payloads={log: read for log in logs if (read := masses_in_name(log.name))},
-        reasons=Reasons(reason, reason, reason),
-    )
+    runs, named = tuple((log,) for log in logs), {} if robot is None else {"file": robot}
+    units = recording.units.model_dump(mode="json", exclude_defaults=True)
+    payloads = {log: read for log in logs if (read := masses_in_name(log.name))}
+    draft = Draft(runs, recording.signals, units, named, payloads, Reasons(*["as in the logs of the model"] * 3))
     return with_masses(draft, _by_log(draft, masses))
 
 
@@ -103,12 +98,9 @@ def with_sensors(draft: Draft) -> Draft:
         return draft
     assumed = f"{listed(torques.values())} are assumed to be torque sensors behind the gears, which set the scale"
     points = {**draft.open} | {"sensors": assumed}
-    return replace(
-        draft,
-        signals=draft.signals.model_copy(update={"joint_torque": torques}),
-        unused=replace(draft.unused, torques={}),
-        open={key: points[key] for key in QUESTIONS if key in points and key != "torques"},
-    )
+    signals = draft.signals.model_copy(update={"joint_torque": torques})
+    open_ = {key: points[key] for key in QUESTIONS if key in points and key != "torques"}
+    return replace(draft, signals=signals, unused=replace(draft.unused, torques={}), open=open_)
 
 
 def with_preset(draft: Draft, name: str) -> Draft:

@@ -85,14 +85,8 @@ class LoggedRun(Part):
             if not logs and has_magic(str(written)):
                 raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
             for existing in logs or [path]:
-                if existing.is_file() or is_log_folder(existing):
-                    continue
-                if existing.is_dir():
-                    raise ValueError(
-                        f"the folder '{existing}' holds no .parquet files and is not a rosbag2; give a file, or "
-                        "such a folder"
-                    )
-                raise ValueError(_no_file(existing))
+                if not (existing.is_file() or is_log_folder(existing)):
+                    raise ValueError(_no_file(existing, "holds no .parquet files and is not a rosbag2"))
         if len({len(logs) for logs in matches}) > 1:
             raise ValueError(
                 f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are paired in "
@@ -106,12 +100,12 @@ def _logs_at(path: Path) -> list[Path]:
     return [match for match in matching(path) if match == path or match.suffix not in (".yaml", ".yml")]
 
 
-def _no_file(path: Path) -> str:
-    """Say what is at a path in place of a file, or which file was meant."""
+def _no_file(path: Path, folder: str = "is a folder, not a file") -> str:
+    """Say what is at a path in place of a file, such as a ``folder`` that is none, or which file was meant."""
     if path.is_symlink():
         return f"'{path}' is a link to '{path.readlink()}', which does not exist; correct the link or the path"
     if path.exists():
-        return f"'{path}' {'is a folder, not a file' if path.is_dir() else NO_FILE}; give the path of a file"
+        return f"'{path}' {folder if path.is_dir() else NO_FILE}; give the path of a file"
     names = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
     return f"there is no file '{path}'; {meant(path.name, names, 'paths are relative to the file that names them')}"
 

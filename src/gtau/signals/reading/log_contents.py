@@ -122,14 +122,8 @@ class LogContents:
         ]
         stated = set(COMMANDS if names.keys() & set(COMMANDS) else ()).union(names)
         kept = [group for group in others if group.kind not in stated]
-        return replace(
-            self,
-            values=values,
-            units=units,
-            groups=(*groups, *kept),
-            time=tuple(names["time"].values()) if "time" in names else self.time,
-            elsewhere=(),
-        )
+        time = tuple(names["time"].values()) if "time" in names else self.time
+        return replace(self, values=values, units=units, groups=(*groups, *kept), time=time, elsewhere=())
 
     def _matching(self, kind: str, pattern: str) -> dict[str, str]:
         columns: dict[str, str] = {}

@@ -210,8 +210,7 @@ def _labels(signals: Signals) -> Iterator[str]:
     yield from (label for wrench in signals.all_wrenches for label in wrench.labels)
 
 
-Clock = Sequence[str] | float
-"""Columns of the time, or the rate (Hz) of a log without one."""
+Clock = Sequence[str] | float  # columns of the time, or the rate (Hz) of a log without one
 
 
 def _timed(

@@ -29,12 +29,10 @@ AHEAD = 2.5  # steps by which the time of a row may be behind an earlier row, as
 SHORTEST, SHARE = 1.0, 0.1
 # A dropout without a gap in time is a step of OFTEN times what 99.9 % of the samples show, after rows that repeat the
 # last one in all columns; or one that two joints and more, all that are not slower than SLOW of the fastest, would take
-# in the same time at their speeds around it, up to a factor of ALIKE, as a coupling that slips is of one joint. In 44
-# shared logs of ten robots there is none, nor a gap.
+# in the same time at their speeds around it, up to a factor of ALIKE, as a coupling that slips is of one joint.
 OFTEN, SLOW, ALIKE = 5.0, 0.2, 1.5
 AROUND = 4  # samples before and after a step from which speeds are taken
-# s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
-LATEST = 0.25
+LATEST = 0.25  # s; maximum lateness of the stamps of packets or messages
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
@@ -81,8 +79,7 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
     n, time = len(samples.joints), samples.time
     low, high = (np.concatenate(pair) for pair in zip(extremes(samples.position), ends, strict=True))
     for column, least, most in zip(samples.columns, low, high, strict=False):
-        if max(-least, most) > LARGEST_VALUE:
-            value = most if most > -least else least
+        if abs(value := max(most, least, key=abs)) > LARGEST_VALUE:
             raise GtauError(
                 f"{samples.name}, column '{column}' reaches {value:.3g}, which is implausible for a joint or drive; "
                 f"correct the column, or give its unit."

@@ -28,9 +28,7 @@ ALONE = 4.0
 # Noise of motors that are off, over the largest command of each joint; all moving joints must then be off together, and
 # log finer steps than that: coarse ones are zero about each reversal.
 OFF = 0.02
-# Steps in the range of a coarse command: 30 and more in those logs (the last joint of an xMate 7). Its plateaus are
-# no limits, and it jumps by its steps.
-COARSE = 20.0
+COARSE = 20.0  # steps in the range of a coarse command, whose plateaus are no limits, and which jumps by its steps
 MOVING = 50.0  # steps of an encoder; a joint that covers less rests, and its command is noise
 
 

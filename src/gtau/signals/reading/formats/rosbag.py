@@ -23,7 +23,7 @@ import numpy as np
 
 from gtau.errors import GtauError, needing
 from gtau.findings import Finding
-from gtau.signals.reading.formats import ALL, WIDEST, LogTable, common_length, interpolated, readable, reading
+from gtau.signals.reading.formats import ALL, WIDEST, LogTable, common_length, interpolated, listed, readable, reading
 from gtau.signals.storage import block_size, store
 
 if TYPE_CHECKING:
@@ -129,8 +129,7 @@ def open_rosbag(path: Path) -> LogTable:
                     frame |= zip(columns[other], interpolated(log, step, values[:, 0]).T, strict=True)
                 yield pl.DataFrame(frame).select(names), min(row / counts[topic], 1.0)
         if others and not notes:
-            listed = ", ".join(others[:3]) + ", ..." * (len(others) > 3)
-            text = f"read {listed} at the stamps of {topic}, between theirs by linear interpolation"
+            text = f"read {listed(others, 3)} at the stamps of {topic}, between theirs by linear interpolation"
             notes.append(reading("aligned topics", text=text))
 
     return LogTable(path, tuple(topics), frames, notes=notes)
