@@ -139,8 +139,8 @@ LOGS = [
     ),
     Case("backwards", "so time does not advance; give the time column", lines(lambda x: [x[0], *x[:0:-1]])),
     Case(
-        "shuffled",
-        "so time does not advance; give the time column",
+        "a ring buffer",
+        "as in a ring buffer; sort the rows by time",
         lines(lambda x: [x[0], *x[3000:], *x[1:3000]]),
     ),
     Case("time stands still", "so time does not advance; give the time column", column(0, lambda x: 0.0)),
