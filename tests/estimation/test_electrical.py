@@ -214,6 +214,14 @@ def test_what_recorders_log(kind: str, rate: float | None) -> None:
         assert np.sqrt(motor.covariance[0, 0]) < 0.01 * gain
 
 
+@pytest.mark.parametrize("key", ["current", "supply_current"])
+def test_currents_of_motors_given_as_currents_of_their_supply_are_named(key: str) -> None:
+    columns = table(HARD.logged(Plant(noise=0.01).run("log", 16.0, seed=3), "supply"))
+    columns |= {f"supply_current {joint}": columns[f"{key} {joint}"] for joint in JOINTS}
+    kinds = [note.kind for note in read_run(columns, signals("supply_current", "duty", "supply_voltage")).notes]
+    assert ("motors' currents" in kinds) == (key == "current")
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_signed_currents_that_never_fall_below_zero_stay_as_they_are(sign: int) -> None:
     """As of motors that hold a weight while they move both ways, whichever way the voltage counts."""

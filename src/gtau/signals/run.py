@@ -209,14 +209,10 @@ class Run:
         def columns(array: np.ndarray, chosen: Sequence[int]) -> np.ndarray:
             return store((part[:, chosen] for part in blocks(array)), (len(chosen),), array.dtype.type)
 
-        return replace(
-            self,
-            joints=tuple(joints),
-            position=columns(self.position, np.argsort(place).tolist()),
-            command=columns(self.command, order),
-            valid=columns(self.valid, order),
-            channels=tuple(replace(self.channels[k], row=rows[k]) for k in order),
-        )
+        position = columns(self.position, np.argsort(place).tolist())
+        command, valid = (columns(array, order) for array in (self.command, self.valid))
+        channels = tuple(replace(self.channels[k], row=rows[k]) for k in order)
+        return replace(self, joints=tuple(joints), position=position, command=command, valid=valid, channels=channels)
 
 
 @takes(progress=FUNCTION, part=("a gtau.Part", (Part,)))
@@ -293,7 +289,7 @@ def read_parts(
     side, runs = read_side_signals(paths[0], signals, units, notes, part), list[Run]()
     stem, load = paths[0].name if paths[0].is_dir() else paths[0].stem, as_payload(payload)
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
-        driven, beside, unsure = motor_currents(piece, side, signals)
+        driven, beside, unsure = motor_currents(piece, side, signals, notes)
         checked, valid, whole_share, window, updates = check(driven, notes, settings.clock)
         if unsure.any():
             small = [np.interp(checked.time, piece.time, column) > 0 for column in unsure.T.astype(float)]

@@ -180,13 +180,9 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
     @property
     def channels(self) -> tuple[Channel, ...]:
         """Channels measured by these columns, the rows of a floating base among them."""
-        channels = channels_of(
-            self.joints,
-            self.base.joints if self.base else (),
-            {kind: tuple(self.sensors(kind)) for kind in LINK_SIDE},
-            [wrench.frame for wrench in self.all_wrenches],
-            unit="A" if self.kind == "current" else "N m",
-        )
+        base, unit = self.base.joints if self.base else (), "A" if self.kind == "current" else "N m"
+        sensors = {kind: tuple(self.sensors(kind)) for kind in LINK_SIDE}
+        channels = channels_of(self.joints, base, sensors, [wrench.frame for wrench in self.all_wrenches], unit)
         stds = dict(self.calibration)
         return tuple(replace(channel, std=stds.get(channel.kind.calibration) or 0.0) for channel in channels)
 

@@ -307,15 +307,10 @@ def _unused(
     moving = [name for one in logs for name in one.moving_beside(chosen, known, command_kind)]
     groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
     others = {name: group for name, group in groups.items() if group.kind not in ("other", "sensor")}
-    return Unused(
-        side=side,
-        torques=torques,
-        computed=_computed(command_log, signals.command, torques),
-        pose=tuple(name for name in columns if name not in used and has_word(name, POSE)),
-        still=tuple(still),
-        moving=(*moving, *log.elsewhere),
-        others=tuple(name for name, group in others.items() if not set(group.columns.values()) <= used),
-    )
+    computed = _computed(command_log, signals.command, torques)
+    pose = tuple(name for name in columns if name not in used and has_word(name, POSE))
+    rest = tuple(name for name, group in others.items() if not set(group.columns.values()) <= used)
+    return Unused(side, torques, computed, pose, tuple(still), (*moving, *log.elsewhere), rest)
 
 
 def _sensors(log: LogContents, kind: str, labels: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, counted
+from gtau.findings import Finding, counted, percent
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats import listed_joints
@@ -258,6 +258,7 @@ def _moves_at(samples: Samples, j: int, mover: int, level: float) -> bool:
 
 BEYOND, VOLTS = 1.5, 1000.0  # times the largest voltage, where units are off by 100 and 1000; V, of any supply
 SURE = 0.1  # of the largest duty: below, the current of the supply says nothing of the motor's
+SPREAD = 0.25  # there over the whole log, geometric mean of the joints, from which they are of the motors
 BOTH_WAYS = 0.05  # share of the samples in which a motor is driven in each direction
 SMOOTHED = 0.03  # s, of the speeds by which a motor drives or brakes
 # What magnitudes with signs leave of the voltage over what currents as logged leave, below which they are magnitudes.
@@ -266,7 +267,7 @@ BACK_EMF = np.linspace(0.0, 1.5, 76)  # tried, of what would take all of the lar
 
 
 def motor_currents(
-    samples: Samples, side: Mapping[str, SideValues], signals: Signals
+    samples: Samples, side: Mapping[str, SideValues], signals: Signals, notes: list[Finding]
 ) -> tuple[Samples, Mapping[str, SideValues], np.ndarray]:
     """Make currents of the motors of currents of their supply, over the duty, and of magnitudes, with a sign.
 
@@ -281,7 +282,7 @@ def motor_currents(
     if gains and "duty" not in side:
         duty = {joint: np.clip(gains[joint] * error, -1.0, 1.0) for joint, error in errors.items() if joint in gains}
         side = {**side, "duty": SideValues(time, duty, "1")}
-    unsure, command = np.zeros(samples.command.shape, dtype=bool), samples.command
+    unsure, command, spreads = np.zeros(samples.command.shape, dtype=bool), samples.command, list[float]()
     for j, joint in enumerate(joints):
         kinds = (key for key in ("duty", "voltage") if key in side and joint in side[key].by_joint)
         drive = next((side[key].si(joint, time) for key in kinds), errors.get(joint))
@@ -291,6 +292,8 @@ def motor_currents(
         if signals.supplied:
             least, current = SURE * np.abs(drive).max(), side["supply_current"].si(joint, time)
             unsure[:, j] = np.abs(drive) < least
+            small = current[unsure[:, j]]
+            spreads.append(float(np.std(small) / np.std(current)) if len(small) and np.ptp(current) else 0.0)
             divisor = np.where(drive < 0, -1.0, 1.0) * np.maximum(np.abs(drive), least)
         if current.min() >= 0 and min(np.mean(drive > 0), np.mean(drive < 0)) > BOTH_WAYS:
             current = _signed(current, drive, samples.position[:, j], time, signals.supplied)
@@ -298,6 +301,10 @@ def motor_currents(
             continue
         command = np.array(command)
         command[:, j] = current / divisor
+    if spreads and (spread := float(np.prod(spreads)) ** (1 / len(spreads))) > SPREAD:
+        text = f"the supply currents vary by {percent(spread)} of their spread where the duty is small, as motors' do"
+        advice = "if they are the motors', write them under 'current'"
+        notes.append(Finding("motors' currents", text=text, advice=advice))
     return replace(samples, command=command), side, unsure
 
 
