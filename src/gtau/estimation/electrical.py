@@ -53,8 +53,8 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
     equations, causes = list[MotorEquation](), dict[tuple[str, str], dict[str, str]]()  # by text and advice
     signals, unstated = dataset.runs[0].log.signals, Drive(convention="dc")
 
-    def note(joint: str, text: str, advice: str, own: str = "") -> None:
-        causes.setdefault((text, advice), {})[joint] = f"{quoted(joint)}{own}"
+    def note(joint: str, text: str, advice: str, share: str = "") -> None:
+        causes.setdefault((text, advice), {})[joint] = f"{quoted(joint)}{share}"
 
     for joint in dataset.robot.motors:
         drive = drives.get(joint, unstated)
@@ -65,8 +65,7 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             text = "the current of … is a voltage or duty: its gain is the torque constant over the resistance"
             note(joint, f"{text}, and its viscous friction contains the back-EMF", "log the current, too")
         if signals is not None and "supply_current" in logged and not signals.supplied:
-            text = "the supply current of … is not used beside the current"
-            note(joint, text, "remove one of them from the signals")
+            note(joint, "the supply current of … is not used beside the current", "remove one of them from the signals")
         if not logged & {"voltage", "duty"}:
             if "goal" in logged:
                 text = "the goal of … gives no gain, as the proportional gain is not stated"
@@ -82,20 +81,13 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             advice = "check that voltage (or duty) and current are of the motor, their units and clock"
             note(joint, text, advice, f" ({percent(equation.explained, '.0f')} explained)")
         elif not np.sqrt(equation.covariance[0, 0]) < LOST * abs(equation.ke):
-            text = "the voltage of … does not show its back-EMF, and gives no gain"
-            note(joint, text, "move the joint faster")
+            note(joint, "the voltage of … does not show its back-EMF, and gives no gain", "move the joint faster")
         else:
             equations.append(equation)
-    notes = [
-        Finding(
-            "voltage",
-            tuple(of),
-            text=text.replace("…", enumerated([*of.values()])),
-            advice=advice,
-            grade=Grade.INFORMATION,
-        )
-        for (text, advice), of in causes.items()
-    ]
+    notes = list[Finding]()
+    for (text, advice), named in causes.items():
+        said = text.replace("…", enumerated([*named.values()]))
+        notes.append(Finding("voltage", tuple(named), text=said, advice=advice, grade=Grade.INFORMATION))
     stated = {joint for joint, drive in drives.items() if "convention" in drive.model_fields_set}
     if assumed := [motor.joint for motor in equations if motor.joint not in stated]:
         text = f"the voltages of {listed(assumed)} are taken for voltages of DC motors, as no 'convention' is stated"
