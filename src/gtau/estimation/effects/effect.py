@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from operator import itemgetter
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.assembly import is_transmitted
 from gtau.estimation.regression.factors import channel_rows
-from gtau.estimation.regression.plausibility import motor_to_joint_speed
 from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.findings import Finding
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
@@ -276,12 +274,14 @@ def encoders(fit: Fit) -> dict[str, int]:
 
 
 def geared(fit: Fit) -> dict[str, tuple[str, float]]:
-    """List the joint that each actuated one moves most by couplings, and how far per rad or m; else itself, by 1."""
-    ratios, joints = np.abs(motor_to_joint_speed(fit.dataset.model)), fit.dataset.robot.joints
+    """List the joint that each actuated one moves by a coupling, and how far per rad or m; without one itself, by 1."""
     gears = {joint: (joint, 1.0) for joint in fit.dataset.model.actuated}
-    for motor, moved in zip(gears, ratios.T.tolist() if len(ratios) > len(gears) else (), strict=False):
-        passive = [(joint.name, ratio) for joint, ratio in zip(joints, moved, strict=False) if not joint.actuated]
-        gears[motor] = max([(name, ratio) for name, ratio in passive if ratio], default=gears[motor], key=itemgetter(1))
+    for coupling in fit.dataset.robot.couplings:
+        most, ratio = max(coupling.ratios, key=lambda term: abs(term[1]))
+        if coupling.joint in gears and most not in gears:
+            gears[coupling.joint] = most, 1 / abs(ratio)
+        elif most in gears and coupling.joint not in gears:
+            gears[most] = coupling.joint, abs(ratio)
     return gears
 
 
