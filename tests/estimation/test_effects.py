@@ -207,7 +207,7 @@ WRIST = {
 
 
 def test_the_friction_of_a_motor_beside_its_joint_is_no_load(tmp_path: Path) -> None:
-    """The friction of 'motor_1' is regrouped with the friction of 'pitch', which moves at a constant ratio to it."""
+    """The friction of 'pitch', which moves at a constant ratio to 'motor_1', is regrouped with the motor's."""
     (tmp_path / "wrist.yaml").write_text(json.dumps(WRIST))
     model = InverseDynamics(load_robot(tmp_path / "wrist.yaml"))
     chi = {"m_roll": 2.0, "mx_roll": 0.2, "my_roll": 0.1, "zz_roll": 0.03, "fs_motor_1": 0.06, "fs_motor_2": 0.05}
@@ -219,7 +219,7 @@ def test_the_friction_of_a_motor_beside_its_joint_is_no_load(tmp_path: Path) -> 
     columns = []
     for factor in (1.0, 3.0):
         values = fit.solution.values.copy()
-        values[fit.system.problem.parameters.index(Parameter("fs", "pitch", regrouped=True))] *= factor
+        values[fit.system.problem.parameters.index(Parameter("fs", "motor_1", regrouped=True))] *= factor
         at = FitWindow(replace(fit, solution=replace(fit.solution, values=values)), run, window)
         torques = effect.torques(at)(SimpleNamespace(outputs=slice(None)))
         columns.append(torques / np.abs(torques).max(axis=(0, 1)))

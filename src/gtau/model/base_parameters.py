@@ -16,7 +16,7 @@ from gtau.model.singularities import random_motion
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import identical_legs
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import DRIVE, INERTIAL, Robot
+from gtau.robots.robot import DRIVE, INERTIAL, PLAIN_FRICTION, Robot
 
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
 IDLE = 1e-10  # share of the largest column: a smaller one is rounding
@@ -77,6 +77,8 @@ def symmetric_order(robot: Robot, names: Sequence[Parameter]) -> list[Parameter]
     for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
         order += [Parameter(kind, joint) for kind in kinds for joint in alike]
     order += [Parameter(kind, spring.name) for spring in robot.springs for kind in spring.parameters]
+    if robot.couplings:  # a joint that a gear moves has the friction of its motor, not the motor that of the joint
+        order.sort(key=lambda name: name.kind in PLAIN_FRICTION and name.body not in robot.actuated)
     return [name for name in order if name in names]
 
 

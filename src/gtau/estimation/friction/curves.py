@@ -76,6 +76,8 @@ def friction_step(
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
     joints = friction_joints(fit.dataset, law, fit.system.unexcited)
+    if not joints:
+        return estimates, {}, {}
     name_of = dict(zip(base.standard, base.names, strict=True))
     curves: dict[str, FrictionCurve] = {}
     names_of_curves: list[Parameter] = []

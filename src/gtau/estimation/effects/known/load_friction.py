@@ -23,14 +23,12 @@ ROTORS = (0.1, 0.2, 0.4, 0.8)
 
 def _torques(at: FitWindow) -> Torques:
     fit, joints, samples = at.fit, at.fit.dataset.model.actuated, at.window.samples()
-    # of passive joints gears transmit the friction too, unless a motor's friction is regrouped with it
-    base, own = fit.dataset.base, [name.body in joints for name in fit.dataset.model.parameter_names]
-    friction = np.array([name.kind in PLAIN_FRICTION for name in base.names])
-    passive = friction & ~base.matrix[:, own].any(axis=1)
     modelled, apart = (
         np.array([Parameter(kind, joint) in names for joint in joints])
-        for kind, names in (("fl", fit.system.terms), ("ia", base.names))
+        for kind, names in (("fl", fit.system.terms), ("ia", fit.dataset.base.names))
     )
+    # of passive joints gears transmit the friction too
+    passive = [name.kind in PLAIN_FRICTION and name.body not in joints for name in fit.dataset.base.names]
     load = at.torques_along(at.motion, at.transmitted + at.values * passive).T
     of_term = at.torques_along(at.motion, fit.system.load(at.run, fit.solution.theta)).T
     rotor = samples.qdd * rms_torques(fit) / fit.dataset.rms_accelerations * ~apart
