@@ -73,9 +73,10 @@ def test_plain_least_squares_as_the_source(log: np.ndarray) -> None:
     found = dict(zip(base.standard, theta, strict=True))
     # the source has no friction in motor 6 but a common one, and joint 6 turns with it
     wrist = 1024 * found["fv_motor_6"], 32 * found["fs_motor_6"]
-    fv = np.array([found.get(f"fv_joint_{k}", 0.0) for k in range(1, 7)])
+    gears = np.abs(np.diag(R))[:5]
+    fv = np.array([*(gears**2 * [found[f"fv_motor_{k}"] for k in range(1, 6)]), found.get("fv_joint_6", 0.0)])
     fv[4:] += wrist[0]
-    fs = np.array([found[f"fs_joint_{k}"] for k in range(1, 7)])
+    fs = np.array([*(gears * [found[f"fs_motor_{k}"] for k in range(1, 6)]), found["fs_joint_6"]])
     assert fv == pytest.approx(REFERENCE["fv"], rel=0.03)
     assert fs == pytest.approx(REFERENCE["fs"], rel=0.03)
     assert wrist == pytest.approx(REFERENCE["wrist"], rel=0.03)

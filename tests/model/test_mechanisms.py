@@ -127,10 +127,16 @@ def test_motors_through_a_transmission(rng: np.random.Generator) -> None:
 
 
 def test_the_coupled_wrist_has_columns_of_its_own() -> None:
-    """Rotor inertia and friction of motor 6 act in rows 5 and 6, beside those of the joints."""
+    """Rotor inertia and friction of motor 6 act in rows 5 and 6, beside the friction of joint 6."""
     found = base_parameters(InverseDynamics(load_robot("staubli-tx40")))
-    own = [name for name in found.names if name.endswith(("_motor_6", "_motor_6R"))]
-    assert {name.split("_")[0] for name in own} == {"ia", "fv", "fs"}
+    assert {name.kind for name in found.names if name.body == "motor_6"} == {"ia", "fv", "fs", "off"}
+    assert {name.kind for name in found.names if name.body == "joint_6"} >= {"fv", "fs"}
+
+
+def test_friction_of_joints_is_regrouped_with_their_motors() -> None:
+    found = base_parameters(InverseDynamics(load_robot("staubli-tx40")))
+    friction = {name.body for name in found.names if name.kind == "fs"}
+    assert friction == {*(f"motor_{k}" for k in range(1, 7)), "joint_6"}
 
 
 def test_a_loop_and_a_coupling_together(rng: np.random.Generator) -> None:
