@@ -44,6 +44,7 @@ def test_the_headline_of_coverage_counts_every_row(defects: dict) -> None:
         assert headline is not None
         assert hits(chosen) in headline[1]
     assert hits([*faulty, *wrong], "wrong good") in page
+    assert f"with faulty logs or drives {hits(faulty)}." in (ROOT / "README.md").read_text(encoding="utf-8")
     with (EVIDENCE / "coverage" / "defects.csv").open(encoding="utf-8", newline="") as file:
         summed = {row["defect"]: row for row in csv.DictReader(file)}
     assert set(summed) == set(defects)
@@ -51,3 +52,22 @@ def test_the_headline_of_coverage_counts_every_row(defects: dict) -> None:
         assert line["intervals with the truth"] == hits([row for row in rows if row["defect"] == defect]), defect
         held, of = line["intervals with the truth"].split(" of ")
         assert (f"| {' | '.join(line.values())} |" in page) == (int(held) < 0.9 * int(of)), defect
+
+
+def test_the_gains_of_the_orthoglide_are_as_near_as_pages_say() -> None:
+    with (EVIDENCE / "measured" / "orthoglide.csv").open(encoding="utf-8", newline="") as file:
+        worst = max(abs(float(row["error, %"])) for row in csv.DictReader(file))
+    page = (EVIDENCE / "index.md").read_text(encoding="utf-8")
+    for sentence in (f"an independent Orthoglide {worst} % from", f"are within {worst} % of the truth"):
+        assert sentence in page
+    assert f"the gains are within {worst} % of the truth" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_errors_of_the_demonstration_are_those_of_its_gains() -> None:
+    """To the last digit shown, as the errors are of gains that are not rounded."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^1\d +([\d.]+) +([\d.]+) +(-[\d.]+) +([\d.]+) +[\d.]+ +([-\d.]+)$", readme, re.MULTILINE)
+    assert len(rows) == 3
+    for true, prior, off, found, error in (map(float, row) for row in rows):
+        assert off == pytest.approx(100 * (prior / true - 1), abs=0.006)
+        assert error == pytest.approx(100 * (found / true - 1), abs=0.008)
