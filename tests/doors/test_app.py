@@ -262,6 +262,8 @@ def test_a_refused_log_cancel_and_a_reload_in_mid_run(project, chromium, tutoria
     (scene,) = chromium.find_elements("css selector", ".nicegui-scene canvas")
     hand.until(lambda: scene.rect["x"] + scene.rect["width"] <= 360)
     chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    hand.press("button", "They are torques")
+    hand.sees("Unit of torque")
     hand.press("button", "Identify")
     hand.until(
         lambda: chromium.find_elements("xpath", "//button[.//text()='Cancel' and not(contains(@style, 'none'))]")
@@ -317,6 +319,16 @@ def test_keys_without_values_are_none(tmp_path):
     assert project.robot() == "['a']"
     assert project.unit("position") == "deg"
     assert [run.log for run in project.runs()] == ["a.csv"]
+
+
+@pytest.mark.parametrize(("was", "now"), [("current", "torque"), ("torque", "current")])
+def test_currents_become_torques_and_comments_stay(tmp_path, was, now):
+    text = "signals:\n  {0}: {{left: a}}{1}\n\n# units\nunits:\n  position: deg\n"
+    point = "# CHECK: confirm whether"
+    (tmp_path / "experiment.yaml").write_text(text.format(was, f"  {point}") + f"  {was}: mA\n")
+    project = Project(tmp_path)
+    project.exchange(*project.points())
+    assert project.text == text.format(now, "")
 
 
 def test_without_the_extra_one_sentence_says_what_to_install(tmp_path):

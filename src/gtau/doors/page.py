@@ -17,6 +17,7 @@ from gtau.doors.widgets import along, at_home, draw_in, drawing_of, refusal_of, 
 from gtau.errors import GtauError
 from gtau.extensions import names
 from gtau.robots.readers.read import catalog_names
+from gtau.signals.reading.discovery import QUESTIONS
 
 MODEL = "result/model.json"
 LARGEST = 4 << 30  # bytes of a file
@@ -179,7 +180,11 @@ class Cards:
                 with ui.row().classes("items-center no-wrap"):
                     ui.icon("help_outline")
                     ui.label(f"To confirm: {point}")
-                    self.button("It is right", partial(project.confirm, point)).classes("shrink-0")
+                    with ui.column().classes("shrink-0 gap-1"):
+                        self.button("It is right", partial(project.confirm, point))
+                        if point.endswith(QUESTIONS["kind"]):
+                            other = "torques" if "current" in project.content["signals"] else "currents"
+                            self.button(f"They are {other}", partial(project.exchange, point))
             with ui.row().classes("items-end"):
                 for key in ("position", *COMMANDS):
                     if project.content.get("signals", {}).get(key):

@@ -125,6 +125,14 @@ class Project:
             )
             write_atomically(self.file, text)
 
+    def exchange(self, point: str) -> None:
+        """State that what was taken for currents are torques, or the reverse, which settles a point."""
+        self.confirm(point)
+        was, now = COMMANDS if "current" in self.content["signals"] else reversed(COMMANDS)
+        with self._lock:
+            write_atomically(self.file, re.sub(rf"^  {was}:", f"  {now}:", self.text, flags=re.MULTILINE))
+        self.set_unit(now, "")  # the unit was of the other
+
     def robot(self) -> str | None:
         """Name or path of the robot, None where none is chosen."""
         robot = self.content.get("robot")
