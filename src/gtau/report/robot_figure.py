@@ -21,6 +21,7 @@ WIDTH, TALLEST = 240.0, 240.0  # points: width of the sheet, height of the robot
 MARGIN, HEAD = 12.0, 32.0  # points, around the robot, and above it
 STRIP, ROW, GAP = 66.0, 13.0, 24.0  # points: strip for axes and key, a row of the key, and the gap above the strip
 LETTER, AWAY = (4.6, 9.0), 6.0  # points: width and height of a letter, and distance of a name from its joint
+APART = 14.0  # points, of a name from other joints where a corner allows
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])  # of a joint, for its name
 GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)  # of a box
 LETTERS = 14  # most letters of a name in the key
@@ -181,7 +182,7 @@ def _draw_platform(pen: Pen, scene: Scene, name: str, colour: str, label: str) -
 
 
 def _draw_names(pen: Pen, scene: Scene) -> None:
-    """Name driven joints, in the corner that covers the fewest marks, then lines."""
+    """Name driven joints, in the corner that covers the fewest marks, then is nearest to fewest others, then lines."""
     shapes = [item for item in pen.items if isinstance(item, Shape)]
     marks = np.array([shape.points.mean(axis=0) for shape in shapes if shape.closed])
     along = np.linspace(0, 1, 30)[:, None]
@@ -192,12 +193,17 @@ def _draw_names(pen: Pen, scene: Scene) -> None:
         if joint.name in scene.robot.driven:
             place = scene.on_page(scene.centre(joint))
             named.setdefault(tuple(np.round(place / 3)), (place, []))[1].append(joint.name)
+    places = np.array([place for place, _ in named.values()])
     for place, names in named.values():
         names = [text] if len(text := ", ".join(names)) <= LETTERS else names
         half = np.array([LETTER[0] * max(map(len, names)), LETTER[1] * len(names)]) / 2
         centres = (place + CORNERS * (half + AWAY))[:, None]
-        hidden = [(np.abs(points - centres) < half + 2.0).all(axis=2).sum(axis=1) for points in (strokes, marks)]
-        best = centres[np.lexsort(hidden)[0], 0]
+        margins = ((strokes, 2.0), (places, APART), (marks, 2.0))
+        hidden = [(np.abs(points - centres) < half + far).all(axis=2).sum(axis=1) for points, far in margins]
+        corner = np.lexsort(hidden)[0]
+        best = centres[corner, 0]
+        if hidden[1][corner] > 1:  # another joint is near
+            pen.line(place + np.outer((3.2, AWAY + 1.0), CORNERS[corner]), "soft", 0.8)
         for k, name in enumerate(names):
             pen.word(name, best + np.array([0.0, LETTER[1] * ((len(names) - 1) / 2 - k)]))
         marks = np.vstack([marks, best + half * GRID])  # no name hides another
