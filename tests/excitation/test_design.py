@@ -161,11 +161,15 @@ def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path)
     (row,) = (row for row in table_of(again, "gains").rows if row[0] == "left")
     random = row[3]
     assert row[4:] == (pytest.approx(np.hypot(random, 4.0)), "N m/A", "weak, 1.3 to 1.7")
-    for size, shown in ((22.0, None), (9.9, pytest.approx(990.0))):
-        changed = Outlook(start, assumed)
-        vars(changed)["forecast"] = replace(outlook.forecast, parameters=(Expected("fv_left", 2.0, 2.0 * size),))
-        (row,) = table_of(changed, "parameters").rows
-        assert (row[0], row[3]) == ("fv_left", shown)
+    usual = dict(zip(task.information.names, task.information.scale, strict=True))["fv_left"]
+    for size, value, shown in ((22.0, usual, "> 1000"), (9.9, usual, "990"), (0.65, 0.0, "65")):
+        changed, std = Outlook(start, assumed), size * usual
+        parts = {"parameters": (Expected("fv_left", value, std),), "std": outlook.forecast.std | {"fv_left": std}}
+        vars(changed)["forecast"] = replace(outlook.forecast, **parts)
+        table = table_of(changed, "parameters")
+        assert (table.rows[0][0], table.columns[3].text(table.rows[0][3])) == ("fv_left", shown)
+        said = " ".join(design_page(changed).sections[0].items[0].points).replace("\N{NO-BREAK SPACE}", " ")
+        assert f"fv_left ({shown} %)" in said
     known = read_design(write(tmp_path, DESIGN))[1]
     assert not any(entry["assumed"] for entry in design_document(Outlook(start, known))["gains"])
 

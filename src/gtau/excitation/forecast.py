@@ -160,17 +160,16 @@ class Outlook:
         return forecast(self.task, self.design.x)
 
     @cached_property
-    def weak(self) -> dict[str, float]:
-        """Unknowns that the design leaves unidentified, by their standard deviations.
+    def shares(self) -> dict[Parameter, float]:
+        """Standard deviations of the unknowns, per cent of the prior value, or of a typical one if it is zero."""
+        scales = zip(self.task.information.names, self.task.information.scale.tolist(), strict=True)
+        return {name: 100 * self.forecast.std.get(name, np.inf) / scale for name, scale in scales}
 
-        These are in per cent of the prior value, or of a typical value if it is zero.
-        """
-        unknowns, weak = self.task.information, {}
-        for name, scale in zip(unknowns.names, unknowns.scale, strict=True):
-            share = 100 * float(self.forecast.std.get(name, np.inf) / scale)
-            if share >= WEAK and name.kind != "delay" and name.run is None:
-                weak[str(name)] = share
-        return weak
+    @property
+    def weak(self) -> dict[str, float]:
+        """Shares of the unknowns that the design leaves unidentified."""
+        lasting = {name: share for name, share in self.shares.items() if name.kind != "delay" and name.run is None}
+        return {str(name): share for name, share in lasting.items() if share >= WEAK}
 
     @cached_property
     def tool(self) -> tuple[float, np.ndarray]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 DESIGN, TRAJECTORY = "design.json", "trajectory.csv"
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
-MOST = 1000  # per cent; larger standard deviations of assumed values are not printed
+MOST = 1000  # per cent; larger standard deviations are shown as "> 1000"
 NEAREST = 3  # limits on the short page
 CUT_SHORT = "the search was cut short; a longer search may find a better motion"
 NEXT = "Next: play and log the motion with each payload, and identify (gtau identify LOG...)"
@@ -117,7 +117,9 @@ def design_summary(outlook: Outlook) -> Page:
     expected, uncertain = outlook.forecast, len(outlook.weak)
     nearest = [f"{use.what}: {100 * use.excess:.0f} % of the limit, {use.allowed}" for use in outlook.usages[:NEAREST]]
     guards = tuple(guard.partition("; ")[0] for guard in outlook.task.guards)
-    points = [f"{uncertain} of {len(expected.parameters)} parameters are not determined (above 30 %)"] * bool(uncertain)
+    points = [f"{uncertain} of {len(expected.parameters)} parameters are not determined (std above 30 %)"] * bool(
+        uncertain
+    )
     points += [CUT_SHORT] * outlook.design.cut_short
     return Page(
         f"Exciting motion for {outlook.robot.name}",
@@ -137,8 +139,7 @@ def design_page(outlook: Outlook) -> Page:
     loads = ", ".join(f"payload '{load.name}'" if load else "no payload" for load in task.payloads)
     gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
     parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
-    words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
-    hidden = Text(words, style="soft") if any(_meaningless(value, assumed) for value in expected.parameters) else None
+    typical = Text("%: of a typical value where the prior value is zero", style="soft")
     facts = {
         "period": f"{task.series.period:.4g} s",
         "repetitions": task.repetitions,
@@ -158,7 +159,7 @@ def design_page(outlook: Outlook) -> Page:
         Section("Drive gains to expect", gains, id="gains"),
         Section("Motion", motion_chart(outlook), id="motion"),
         Section("Robot", outlook.robot, id="robot"),
-        Section("Parameters to expect", parameters, hidden, id="parameters", folded=True),
+        Section("Parameters to expect", parameters, typical, id="parameters", folded=True),
         Section("Limits", limits, id="limits"),
         _masses(outlook),
         Section("Assumptions", assumptions, id="assumed"),
@@ -179,7 +180,7 @@ def _verdict(outlook: Outlook) -> Text:
     if outlook.weak:
         sizes = (f"{f'{share:.3g}' if share <= MOST else f'>{NBSP}{MOST}'} %" for share in outlook.weak.values())
         names = ", ".join(f"{name} ({size})" for name, size in zip(outlook.weak, sizes, strict=True))
-        points.append(f"not determined (above 30 %): {names}; a motion for some of them: --criterion NAME,NAME")
+        points.append(f"not determined (std above 30 %): {names}; a motion for some of them: --criterion NAME,NAME")
     if outlook.task.base.without_effect:
         points.append(f"never felt by the motors: {', '.join(outlook.task.base.without_effect)}")
     if outlook.design.cut_short:
@@ -206,16 +207,12 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
         (Column("name", Kind.NAME), "name"),
         (Column("prior value", Kind.NUMBER, 4), lambda value: None if hidden else value.value),
         (Column("std", Kind.NUMBER, 3), lambda value: None if hidden else _finite(value.std)),
-        (Column("%", Kind.NUMBER, 3), lambda value: None if _meaningless(value, assumed) else _finite(value.relative)),
+        (Column("%", Kind.NUMBER, 3, most=MOST), lambda value: outlook.shares.get(value.name, value.relative)),
         *([(Column("with model part, %", Kind.NUMBER, 3), lambda gain: shares[gain.name])] if shares else []),
         (Column("unit"), outlook.unit),
         (Column("prior value is"), lambda value: sources[value.name]),
         name=name,
     )
-
-
-def _meaningless(unknown: Expected, assumed: bool) -> bool:
-    return assumed and MOST < unknown.relative < np.inf
 
 
 def _masses(outlook: Outlook) -> Section | None:
