@@ -78,7 +78,7 @@ BAD_CSV: list[tuple[str, str | bytes, str]] = [
     (
         "standard DH",
         "joint,theta [rad],d,a,alpha [rad]\n1,0,0.3,0,pi/2\n",
-        ": line 1: this header of DH parameters lacks j, mu, sigma, gamma, b, alpha, theta, r; gtau reads modified DH,",
+        ": line 1: this header of DH parameters lacks j, mu, sigma, gamma, b, alpha, theta, r; in gtau's modified",
     ),
     ("column too many", HEADER.replace("\n", ",q\n"), ": line 1: the header must name each of j, a, mu,"),
     ("column twice", HEADER.replace("\n", ",r\n"), ": line 1: the header must name each of j, a, mu,"),

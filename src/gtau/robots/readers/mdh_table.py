@@ -134,9 +134,9 @@ def _constants(lines: list[tuple[int, list[str]]]) -> tuple[dict[str, float], li
             words = {word for cell in cells for word in re.split(r"[^a-zα-ω]", cell.lower())}
             if words & {"alpha", "α"} and words & {"theta", "θ"} and words.isdisjoint(("mu", "sigma")):
                 raise GtauError(
-                    f"line {number}: this header of DH parameters lacks {missing}; gtau reads modified DH, where alpha "
-                    "and d of a row are before its joint: of standard DH, move alpha and a of each row to the next "
-                    "one, a as d, and write d as r."
+                    f"line {number}: this header of DH parameters lacks {missing}; in gtau's modified DH, a is the "
+                    "antecedent: write Craig's a as d, and d as r; of standard DH, also move alpha and a of each row "
+                    "to the next one."
                 )
             raise GtauError(
                 f"line {number}: this is neither a constant ('a = 0.34') nor the header, which lacks {missing}."
