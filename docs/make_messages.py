@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -72,7 +73,13 @@ class Module:
 
 def modules() -> dict[Path, Module]:
     """Read the source."""
-    return {path: Module(ast.parse(path.read_text(encoding="utf-8"))) for path in sorted(SOURCE.rglob("*.py"))}
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(SOURCE.rglob("*.py"))}
+    for node in (node for tree in trees.values() for node in ast.walk(tree)):
+        for first, second in pairwise(node.body if isinstance(getattr(node, "body", None), list) else ()):
+            match first, second:
+                case ast.Assign([name], value), ast.AugAssign(same) if ast.unparse(name) == ast.unparse(same):
+                    first.value = ast.BinOp(value, ast.Add(), second.value)  # text += ... right below
+    return {path: Module(tree) for path, tree in trees.items()}
 
 
 def findings(read: Mapping[Path, Module]) -> Iterator[Finding]:
@@ -143,7 +150,7 @@ def kinds(module: Module, kind: ast.expr) -> list[Line]:
 
 def effects() -> Iterator[Finding]:
     """Yield the causes of all effects, as they are named for a joint."""
-    fit = SimpleNamespace(system=SimpleNamespace(payloads=("…",)))
+    fit = SimpleNamespace(kind="current", system=SimpleNamespace(payloads=("…",)))
     column = SimpleNamespace(joint="…", subject="…", about="…")
     for effect in EFFECTS:
         yield effect.cause(fit, column, 0.0)  # type: ignore[arg-type]

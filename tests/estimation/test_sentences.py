@@ -62,7 +62,7 @@ def test_currents_are_logged_for_gravity_in_their_own_name() -> None:
 
 
 def test_every_effect_says_what_it_is_and_what_to_do() -> None:
-    loaded = SimpleNamespace(system=SimpleNamespace(payloads=("steel",)))
+    loaded = SimpleNamespace(kind="torque", system=SimpleNamespace(payloads=("steel",)))
     for each in EFFECTS:
         column = SimpleNamespace(joint="left", subject="", about="run", plausible=1.0)
         cause = each.cause(loaded, column, 0.1)  # type: ignore[arg-type]

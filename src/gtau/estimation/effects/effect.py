@@ -20,7 +20,7 @@ from gtau.robots.parameter import BY_LOAD
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import SampleWindow
 
-RELATIVE = "of itself"  # unit of a size that is a share of what it changes
+RELATIVE = "relative"  # unit of a size that is a share of what it changes
 STEP = 0.1  # of the unit of a position: the torques' change is linear over this
 LEAST_FRICTION = 0.02  # of the rms torque: less is no level to scale columns by
 

@@ -27,8 +27,8 @@ def _torques(at: FitWindow) -> Torques:
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    what = f"a low-pass filter of the current of '{column.joint}'"
-    return what, "log the current before any filter, and move more slowly"
+    what = f"a low-pass filter of the {fit.kind} of '{column.joint}'"
+    return what, f"log the {fit.kind} before any filter, and move more slowly"
 
 
 EFFECT = Effect("current lag", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "s2")], _say, of_motion=True)

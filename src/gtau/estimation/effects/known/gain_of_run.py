@@ -22,7 +22,7 @@ def _columns(fit: Fit) -> list[EffectColumn]:
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    what = f"a current of '{column.joint}' that is {'larger' if size > 0 else 'smaller'} in run '{column.about}'"
+    what = f"a {fit.kind} of '{column.joint}' that is {'larger' if size > 0 else 'smaller'} in run '{column.about}'"
     loads = "check which runs carry the payload, its mass and the clock; otherwise " if fit.system.payloads else ""
     return what, (
         f"{loads}let the robot warm up, and alternate loaded and unloaded runs: a motor's torque constant falls as it "

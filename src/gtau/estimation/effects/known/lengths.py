@@ -47,7 +47,7 @@ def _columns(fit: Fit) -> list[EffectColumn]:
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     longer = "longer" if size > 0 else "shorter"
     what = f"a length ({column.about}) that is {longer} than in the robot file"
-    return what, "measure it between the joints' axes, and correct the robot file"
+    return what, f"measure this length ({column.about}) between the joints' axes, and correct the robot file"
 
 
 EFFECT = Effect("lengths", _torques, _columns, _say, shared=True, description=True)

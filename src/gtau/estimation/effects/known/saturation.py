@@ -30,5 +30,5 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     )
 
 
-UNIT = f"of itself up to {LARGE:g} times the rms current"
+UNIT = f"relative, at {LARGE:g} times the rms current"
 EFFECT = Effect("saturation", _torques, lambda fit: [EffectColumn(PLAUSIBLE, UNIT, least=0.0)], _say)
