@@ -161,7 +161,7 @@ def fleet(
 ) -> None:
     """Identify many robots, and mark drive gains that are outliers.
 
-    The command again identifies only missing or changed robots.
+    Run it again to identify only missing or changed robots.
     """
     hold(out)
     from gtau.fleets.fleet import fleet as run, read_fleet
@@ -188,12 +188,14 @@ def campaign(
     folder: Annotated[Path, argument("DIR", "Folder of the campaign, its only state.")],
     robot: Annotated[str | None, option("ROBOT", "Robot of a new campaign.")] = None,
     payload_mass: Annotated[float | None, option("KG", "Payload of a new campaign.", min=0.0)] = None,
-    accuracy: Annotated[float | None, option("PERCENT", "Half of the 95 % interval asked of every gain (3).")] = None,
+    accuracy: Annotated[
+        float | None, option("PERCENT", "Half of the 95 % interval required of every gain, default 3.")
+    ] = None,
     json_: Json = False,
 ) -> None:
-    """Identify the robot from the motions played, and decide: done, the next motion, or why none can help.
+    """Identify the robot from the motions played; then say what is next: nothing, a motion, or why none would help.
 
-    The command again resumes. Exit code 3: the campaign cannot go on.
+    Run it again to resume. Exit code 3: the campaign cannot go on.
     """
     hold(folder)
     with progress_bar() as progress:

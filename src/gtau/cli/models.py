@@ -191,7 +191,7 @@ class DrawOptions:
     samples: Annotated[
         int, option("N", "Also draw N parameter sets, for domain randomization: samples.npz.", min=0)
     ] = 0
-    models: Annotated[int, option("N", "Draws also written as models.", min=0)] = 16
+    models: Annotated[int, option("N", "Number of draws to write as models, too.", min=0)] = 16
     seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0
 
 

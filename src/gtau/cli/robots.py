@@ -193,10 +193,8 @@ def tutorial(
 
 
 @refusing
-def docs(
-    name: Annotated[str | None, argument("PAGE", "Without it all are listed.")] = None, json_: Json = False
-) -> None:
-    """Print a page of the documentation; 'messages' are all findings."""
+def docs(name: Annotated[str | None, argument("PAGE", "Default: list all pages.")] = None, json_: Json = False) -> None:
+    """Print a page of the documentation; 'messages' lists all findings."""
     from gtau.pages import page_text, titles
 
     text = titles() if name is None else page_text(name)

@@ -214,7 +214,7 @@ def app(
 
 @refusing
 def mcp(
-    folder: Annotated[Path, argument("FOLDER", "Folder to which alone it writes; default: this one.")] = Path(),
+    folder: Annotated[Path, argument("FOLDER", "The only folder it writes to; default: the current one.")] = Path(),
 ) -> None:
     """Serve an agent over stdin and stdout, by the Model Context Protocol: its client starts this command."""
     with needing("serving an agent", "mcp", "mcp"):
