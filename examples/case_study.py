@@ -175,14 +175,13 @@ def write_figures(study: Study, folder: Path, duration: float, images: Path) -> 
     path, _ = make_trajectory(planned.trajectory, result.robot, planned.name)
     exciting, shown = sample(path, duration, SIMULATION.rate), 5
     motion = (exciting.q[::shown], exciting.qd[::shown], exciting.qdd[::shown])
-    units = [each.unit for each in study.errors]
     time = prediction.time - prediction.time[0]
     begun = time <= min(6.0, exciting.time[-1])
     part, time = prediction.part(begun), time[begun]
     charts = {
         "gains": gains_chart(result.drive_gains),
         "payload": payload_chart(study.weighings["prior"], study.weighings["identified"], MASSES["second"]),
-        "torques": torques_chart(part, units, "current", time, title=LOGS[-1]),
+        "torques": torques_chart(part, "current", time, title=LOGS[-1]),
         "trajectory": trajectory_chart(exciting.time[::shown], motion, prediction.joints, "m", LOGS[0]),
         "test-trajectories": references_chart(compared.references, compared.joints, compared.units),
         **{f"tracking-{name.replace('_', '-')}": tracking_chart(compared, name) for name in compared.references},

@@ -290,9 +290,17 @@ def test_a_chart_of_torques_is_titled_with_its_run() -> None:
     kept = np.ones((50, 2), dtype=bool)
     kept[10:20, 0] = False
     prediction = Prediction(
-        ("left", "elbow_joint"), time, torques * [1.1, 1.01], torques, kept, kept, 0 * torques, Decimator(1)
+        ("left", "elbow_joint"),
+        ("N m", "N"),
+        time,
+        torques * [1.1, 1.01],
+        torques,
+        kept,
+        kept,
+        0 * torques,
+        Decimator(1),
     )
-    chart = torques_chart(prediction, ["N m", "N"], "current", time, title="loaded")
+    chart = torques_chart(prediction, "current", time, title="loaded")
     labels = [panel.y.label for panel in chart.panels]
     assert labels == ["torque, N m", "residual, N m", "force, N", "residual, N"]
     assert [each.label for each in chart.panels[0].series] == ["measured (current × gain)", "predicted"]

@@ -91,8 +91,7 @@ def plot(shown: IdentifiedModel | Prediction | Run | Robot) -> Figure:
 
 
 def _prediction_chart(prediction: Prediction) -> Chart:
-    units, time = ["N m or N"] * len(prediction.joints), prediction.time - prediction.time[0]
-    return torques_chart(prediction, units, "", time)
+    return torques_chart(prediction, "", prediction.time - prediction.time[0])
 
 
 def _run_chart(run: Run) -> Chart:
@@ -186,8 +185,7 @@ class Plots:
         if start > 0 or stop is not None:
             title += f", {start:.4g} to {end:.4g} s of {seconds(evidence.run):.4g} s"
         window = (time >= start) & (time <= end)
-        units = [torque_unit(self.result.robot, name) for name in joints]
-        return torques_chart(prediction.of(joints).part(window), units, evidence.run.kind, time[window], title=title)
+        return torques_chart(prediction.of(joints).part(window), evidence.run.kind, time[window], title=title)
 
     def friction(self, joint: str | None = None, run: str | Run | None = None) -> Figure:
         """Draw measured and predicted friction of one joint or all over the speed."""
@@ -218,7 +216,7 @@ class Plots:
 
     def correlation(self) -> Figure:
         """Draw the correlation matrix of all estimates."""
-        return figure_of(parameters.correlation_chart(*parameters.correlation_of(self.result)))
+        return figure_of(parameters.correlation_chart(self.result))
 
     def singular_values(self) -> Figure:
         """Draw the singular values of ``W_tot`` (eq. 33), with the gap before the smallest."""

@@ -28,10 +28,10 @@ BANDS = (
 EXTERNAL = Text(
     "Behind the low-pass filter of the identification.",
     (
-        "rms, largest, beyond 4: without reversals",
+        "rms, largest, over 4 residuals: without reversals",
         "rms, all: with reversals",
         "residual: torque residual of the identification",
-        "beyond 4: share of samples above four residuals, by chance 0.006 %; a contact or an unknown payload raises it",
+        "over 4 residuals: share of samples, by chance 0.006 %; a contact or an unknown payload raises it",
     ),
 )
 SEEN = "seen: share of samples whose pose shows the component; elsewhere the component has no value."
@@ -48,7 +48,7 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
     return table_of(
         [(run, error) for run in runs for error in run.errors],
         (Column("run"), lambda pair: pair[0].run.name),
-        (Column("", wide=True), lambda pair: "used" if pair[0].used else "validation"),
+        (Column("used for", wide=True), lambda pair: "identification" if pair[0].used else "validation"),
         (Column("joint"), lambda pair: pair[1].joint),
         (Column("raw error", Kind.NUMBER, 4), lambda pair: pair[1].rms_raw),
         (Column("raw torque", Kind.NUMBER, 4), lambda pair: pair[1].signal_raw),
@@ -106,7 +106,7 @@ def external_page(torques: TorquesAlongLog) -> Page:
     more: list[ColumnOf] = [
         (Column("largest", Kind.NUMBER), "largest"),
         (Column("at, s", Kind.NUMBER), "time"),
-        (Column("beyond 4, %", Kind.SHARE, decimals=2), "share"),
+        (Column("over 4 residuals, %", Kind.SHARE, decimals=2), "share"),
         (Column("unit"), "unit"),
     ]
     joint = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
@@ -144,8 +144,7 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
             parts.append(Section(title, Text(f"Not predicted: {run.refusal}"), folded=True))
             continue
         cut = Text(f"Only the first {run.time[-1]:.4g} s of this long run are shown.", style="soft")
-        units = [torque_unit(result.robot, joint) for joint in run.prediction.joints]
-        chart = torques_chart(run.prediction, units, run.run.kind, run.time, run.errors)
+        chart = torques_chart(run.prediction, run.run.kind, run.time, run.errors)
         parts.append(Section(title, cut if run.cut else None, chart, folded=run is not unfolded))
     words = "A small residual says nothing about the gains, which scale measured and predicted torque alike."
     judged = [run for run in runs if not run.used and run.errors] or runs
@@ -163,7 +162,6 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
 
 def torques_chart(
     prediction: Prediction,
-    units: Sequence[str],
     kind: str,
     time: np.ndarray,
     errors: Sequence[TorqueError] = (),
@@ -177,7 +175,7 @@ def torques_chart(
     error_by_joint = {error.joint: error for error in errors}
     label = "measured (current × gain)" if kind == "current" else "measured"
     panels = []
-    for j, (joint, unit) in enumerate(zip(prediction.joints, units, strict=True)):
+    for j, (joint, unit) in enumerate(zip(prediction.joints, prediction.units, strict=True)):
         words, error = joint_label(joint), error_by_joint.get(joint)
         if error is not None:
             words += f": torque error {error.relative:.2f} % in band without reversals"

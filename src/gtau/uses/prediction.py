@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @spelled(plot="gtau.plot(prediction)")
 @dataclass(frozen=True)
 class Prediction:
-    """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
+    """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in the ``units``.
 
     ``friction`` (N, n) is the part of what is predicted that friction and offsets take. Measured torques are raw.
     Predicted torques are at the instants of the commands, and behind no low-pass but the one of the positions, up to
@@ -51,6 +51,7 @@ class Prediction:
     """
 
     joints: tuple[str, ...]
+    units: tuple[str, ...]
     time: np.ndarray
     predicted: np.ndarray
     measured: np.ndarray
@@ -81,7 +82,9 @@ class Prediction:
     def of(self, joints: Sequence[str]) -> Prediction:
         """Take some of the joints."""
         chosen = [self.joints.index(joint) for joint in joints]
-        return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in OF_JOINTS})
+        units = tuple(self.units[j] for j in chosen)
+        parts = {name: getattr(self, name)[:, chosen] for name in OF_JOINTS}
+        return replace(self, joints=tuple(joints), units=units, **parts)
 
     def __repr__(self) -> str:
         span = f"{self.time[0]:.4g} to {self.time[-1]:.4g} s"
@@ -119,7 +122,7 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
             for pair, rows in ((smooth, kept), (smooth, valid), (raw, valid))
         )
         bands = _bands(prediction.time, raw, valid, bandwidth)
-        unit = torque_unit(robot, joint)
+        unit = prediction.units[j]
         errors.append(TorqueError(joint, rms, signal, unit, rms_all, signal_all, rms_raw, signal_raw, bands))
     return tuple(errors)
 
@@ -201,7 +204,9 @@ def predict(result: IdentifiedModel, run: Run | str | Path, external: np.ndarray
     keep, valid = (decimator.near(mask & ~resting) for mask in (keep, valid))
     if not keep.any():
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
-    return Prediction(result.idm.actuated, time, made.T, measured.T, keep, valid, friction_torque.T, decimator)
+    joints = result.idm.actuated
+    units = tuple(torque_unit(result.robot, joint) for joint in joints)
+    return Prediction(joints, units, time, made.T, measured.T, keep, valid, friction_torque.T, decimator)
 
 
 def joint_torques(
