@@ -17,6 +17,7 @@ from gtau.report.page import Page, Text
 from gtau.report.parameters import correlation_section
 from gtau.report.render.terminal import plain
 from gtau.report.torques import determination
+from gtau.robots.parameter import parameter_of
 from gtau.signals.preparation.filters import Decimator
 from gtau.uses.prediction import Prediction
 
@@ -67,7 +68,8 @@ def test_r_squared_is_of_the_kept_samples_of_all_runs() -> None:
     def run(measured: list[float], predicted: list[float]) -> RunEvidence:
         kept = np.array([[True], [True], [False]])
         arrays = [np.array(each)[:, None] for each in (predicted, measured)]
-        return RunEvidence(None, True, Prediction(("q",), np.arange(3.0), *arrays, kept, kept, arrays[0], Decimator(1)))  # type: ignore[arg-type]
+        arrays += [kept, kept, arrays[0]]
+        return RunEvidence(None, True, Prediction(("q",), ("N m",), np.arange(3.0), *arrays, Decimator(1)))  # type: ignore[arg-type]
 
     runs = [run([1.0, 2.0, 99.0], [1.0, 2.5, 0.0]), run([3.0, 6.0, 0.0], [3.0, 5.0, 99.0])]
     assert determination(runs)["q"] == pytest.approx(1 - (0.5**2 + 1.0) / (2.0**2 + 1.0 + 0.0 + 3.0**2))
@@ -75,9 +77,8 @@ def test_r_squared_is_of_the_kept_samples_of_all_runs() -> None:
 
 
 def test_names_of_drifting_parameters_and_many_estimates_are_explained(result: gtau.Result) -> None:
-    shown = correlation_section(
-        result.replaced(covariance_names=("fv_left@2", *(f"p{k}" for k in range(69))), covariance=np.eye(70))
-    )
+    names = ("fv_left@2", *(f"p{k}" for k in range(69)))
+    shown = correlation_section(result.replaced(covariance_names=(*map(parameter_of, names),), covariance=np.eye(70)))
     assert shown is not None
     text = plain(Page("", shown))
     assert "fv_left@2: by how much fv_left in run 2, 'loaded', differs from its mean" in text

@@ -324,7 +324,7 @@ def test_every_command_takes_a_sensor_column(tmp_path: Path) -> None:
         result = CliRunner().invoke(app, command)
         assert result.exit_code == 0, result.output
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "The scale of all gains comes from the torque sensor of" in page
+    assert "The scale of all joints comes from the torque sensor of" in page
 
 
 @pytest.mark.slow

@@ -220,7 +220,7 @@ def fleet_page(fleet: FleetGains, full: bool = False) -> Page:
         Section("Gains by robot", *charts, id="chart"),
         Section("All gains", gains, id="gains") if full else None,
         Section("Refused robots", Text("", tuple(refused)), id="refused") if refused else None,
-        lead=[f"{len(fleet.robots)} robots."] if full else [],
+        lead=[f"{counted(len(fleet.robots), 'robot')}."] if full else [],
     )
 
 
@@ -293,7 +293,7 @@ def fleet_chart(fleet: FleetGains, joint: JointOfFleet) -> Chart:
     )
     axis = Axis("" if names else "robot", names=names)
     panel = Panel(axis, Axis("from median, %"), tuple(series), title, (Rule(y=0.0),), band, height=2.0)
-    return Chart((panel,), caption="The band is the spread of the fleet.")
+    return Chart((panel,), caption="The band is the spread of the fleet." * (joint.spread > 0))
 
 
 def write_fleet(fleet: FleetGains, out: Path) -> list[Path]:

@@ -98,7 +98,8 @@ def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Ch
         return None
     halves = [gain.half_width for gain in shown.values()]
     inner = [_random_half(gain) for gain in shown.values()]
-    labels, axis = [joint_label(joint) for joint in shown], "difference from the identified gain, %"
+    what = "scale" if any(gain.unit == "1" for gain in shown.values()) else "gain"
+    labels, axis = [joint_label(joint) for joint in shown], f"difference from the identified {what}, %"
     return Chart((intervals(labels, [0.0] * len(shown), halves, axis, inner, ("prior", off), zero=True),))
 
 
@@ -157,7 +158,7 @@ def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
         if shares:
             words[joint] = ", ".join(named)
     if len(set(words.values())) == 1:
-        return Text(f"The scale of all gains comes from {next(iter(words.values()))}.")
+        return Text(f"The scale of all joints comes from {next(iter(words.values()))}.")
     lines = [f"The scale of '{joint}' comes from {sources}." for joint, sources in words.items()]
     return Text("", tuple(lines)) if lines else None
 
@@ -257,7 +258,7 @@ def _agreement(comparison: EstimatorComparison) -> str:
     j = int(np.argmax(spread))
     return (
         f"{len(trusted)} of {len(rows)} estimators find trustworthy gains, which agree to "
-        f"{percent_text(spread[j])} % or better, and differ most at {comparison.joints[j]}."
+        f"{percent_text(spread[j])} % or better, and differ most at joint '{comparison.joints[j]}'."
     )
 
 

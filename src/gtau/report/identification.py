@@ -196,9 +196,10 @@ def _tiles(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Facts:
     errors = [error for run in runs if not run.used for error in run.errors]
     shares = determination([run for run in runs if run.used])
     least = min(shares, key=lambda joint: shares[joint], default="")
+    what = "torque scale" if result.kind == "torque" else "gain"
     return Facts(
         {
-            "widest 95 % interval of a gain": f"+-{percent_text(widths[widest])} % ({widest})" if widest else None,
+            f"widest 95 % interval of a {what}": f"+-{percent_text(widths[widest])} % ({widest})" if widest else None,
             "largest torque residual of the rows used": _largest(result.residuals),
             "largest torque error of a validation run, in band": _largest(errors, in_band=True),
             "smallest R² of a joint": f"{shares[least]:.4f} ({least})" if least else None,

@@ -18,7 +18,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series, intervals
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
-from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, torque_unit
+from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, payload_label, torque_unit
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
 
@@ -37,7 +37,6 @@ CURVES = "Measured torque less the predicted inertia and gravity torques, and th
 STRONG = 0.9  # smallest correlation that is listed
 LISTED = 20
 PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
-SHOWN = 60  # most estimates whose names fit beside a matrix
 EFFECTS = (
     "All effects are random effects of one mixed model, estimated together with the parameters. Log-likelihood: loss "
     "of a fit without the effect; below 3 the data hardly show it. The estimates and intervals include all effects. "
@@ -108,7 +107,7 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
         result.curves.values(),
         (Column("joint"), lambda curve: joint_label(curve.joint)),
         *((Column(kind.heading or kind.symbol, Kind.SPREAD), partial(value, kind.symbol)) for kind in law),
-        (Column("shown by", wide=True), evidence),
+        *([(Column("shown by", wide=True), evidence)] if any(map(evidence, result.curves.values())) else []),
         (Column("error, %", Kind.NUMBER, decimals=1), "error"),
         (Column("plain law, %", Kind.NUMBER, decimals=1), "plain_error"),
     )
@@ -179,7 +178,9 @@ def corrections(audit: InertiaAudit | None) -> list[str]:
     if audit is None or not audit.links:
         return []
     steps = [f"{link.name} ({link.error:.2g} %)" for link in audit.links]
-    words = "correct mass, centre of mass and inertia in the robot file, link by link (torque error after each step)"
+    words = (
+        "in the robot file, correct mass, centre of mass and inertia of these links, in this order (torque error left)"
+    )
     return [f"{words}: {', '.join(steps)}"]
 
 
@@ -206,7 +207,7 @@ def _audit_points(audit: InertiaAudit) -> list[str]:
 # Correlations, singular values and effects
 
 
-def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray]:
+def correlation_of(result: IdentifiedModel) -> tuple[tuple[Parameter, ...], np.ndarray]:
     """Compute names and correlation matrix (m, m) of all estimates with a variance."""
     covariance = result.covariance
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
@@ -215,11 +216,13 @@ def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray
     return tuple(result.covariance_names[k] for k in known), np.clip(part, -1.0, 1.0)
 
 
-def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
-    """Draw a correlation matrix, with names if they fit."""
-    shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
-    axis = Axis("" if shown else "number of the estimate", names=shown)
-    caption = "Blue: positive, orange: negative; the fuller, the stronger. L3: payload of run 3; @3: change in run 3."
+def correlation_chart(result: IdentifiedModel) -> Chart:
+    """Draw the correlation matrix of the estimates; of many, some are named."""
+    names, matrix = correlation_of(result)
+    axis = Axis("", names={float(k): name for k, name in enumerate(names)})
+    caption = "Blue: positive, orange: negative; in full colour: 1 or -1."
+    labels = {payload_label(result.robot, run): run + 1 for run in range(len(result.runs))}
+    caption += next((f" {name.body}: payload of run {labels[name.body]}." for name in names if name.body in labels), "")
     return Chart((Panel(axis, axis, matrix=matrix, height=5.2),), "Correlations", caption=caption)
 
 
@@ -242,7 +245,7 @@ def correlation_section(result: IdentifiedModel) -> Section | None:
         "Correlation",
         Text(words),
         _drift_text(names, result),
-        correlation_chart(names, matrix),
+        correlation_chart(result),
         Table(columns, rows) if rows else None,
         id="correlation",
     )
@@ -265,7 +268,8 @@ def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
         return None
     moves = [max(effect.moves.values(), key=abs) for effect in drawn]
     halves = [1.96 * abs(move * effect.std / effect.size) for move, effect in zip(moves, drawn, strict=True)]
-    labels = [f"{effect.effect} {effect.cause.joint}".strip() for effect in drawn]
+    names = [f"{effect.effect} {effect.cause.joint}".strip() for effect in drawn]
+    labels = [each.subject if names.count(name) > 1 else name for name, each in zip(names, drawn, strict=True)]
     return Chart((intervals(labels, moves, halves, "moves a gain by, %", zero=True),), "Effects")
 
 
@@ -275,9 +279,10 @@ def effects_section(result: IdentifiedModel) -> Section | None:
         return None
     ranked = sorted(result.effects, key=lambda effect: -effect.largest_move)
     move = partial(Column, kind=Kind.NUMBER, decimals=2)
+    estimated = any(gain.std for gain in result.drive_gains.values())
     moves = [
         (move(f"moves {joint_label(joint)} by, %"), lambda effect, joint=joint: effect.moves.get(joint))
-        for joint in result.robot.motors
+        for joint in (result.robot.motors if estimated else ())
     ]
     listed = table_of(
         ranked,

@@ -134,7 +134,7 @@ def _facts(model: InverseDynamics) -> Facts:
     if robot.base:
         facts["floating base"] = f"{robot.base[-1]}; its six equations are the rows {robot.base[0]} to {robot.base[-1]}"
     more = "" if parallel is None else f", type 2 (parallel) {parallel:.2g}"
-    facts["at home"] = f"distance to singularities (1 at best, 0 at one): type 1 (serial) {serial:.2g}{more}"
+    facts["at home"] = f"distance to singularities (1 at best, 0 at one): type 1 (serial) {round(serial, 9):.2g}{more}"
     return Facts(facts)
 
 

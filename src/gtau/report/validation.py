@@ -78,8 +78,8 @@ def headline(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> str:
     )
     band = max(result.preparation.at(run.run.rate).decimator.cutoff(run.run.rate) for run in runs)  # Hz
     return (
-        f"The predicted torques differ from the raw measured ones by {raw}, most at {worst.joint}; in the band of the "
-        f"identification (below {band:.3g} Hz) by {in_band}, leaving out reversals by {away}."
+        f"The predicted torques differ from the raw measured ones by {raw}, most at joint '{worst.joint}'; in the "
+        f"band of the identification (below {band:.3g} Hz) by {in_band}, leaving out reversals by {away}."
     )
 
 

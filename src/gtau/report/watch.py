@@ -85,7 +85,7 @@ def verdict_text(watch: Watch) -> Text:
     send = f"{settings.robots} robots send" if settings.robots > 1 else "the robot sends"
     promise = (
         f"False alarms of changes: on average {settings.false_alarms_per_year:.3g} a year if {send} "
-        f"{settings.logs_per_year:g} logs a year and healthy logs vary as assumed (see the evidence page, 'Watching')."
+        f"{settings.logs_per_year:g} logs a year and healthy logs vary as assumed."
     )
     style: Any = "bad" if watch.alarm else "neutral" if watch.phase == "baseline" else "good"
     return Text(head, (*points, promise, NO_SAFETY_FUNCTION), style)
@@ -116,7 +116,8 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
     def row(k: int) -> list[object]:
         name, unit, factor = _shown(view.quantities[k])
         week = (factor * (mean[k] - view.reference[k]), factor * half[k])
-        return [name, unit, week if np.isfinite(week[0]) else None, factor * view.tolerance[k], *(factor * visible[k])]
+        sizes = ("-",) * len(VISIBLE) if watch.phase == "baseline" else factor * visible[k]
+        return [name, unit, week if np.isfinite(week[0]) else None, factor * view.tolerance[k], *sizes]
 
     columns = (
         Column("quantity"),

@@ -238,7 +238,7 @@ def stamped(
         "Provenance",
         Section("The command that reproduces this report", Text(command, style="command")) if command else None,
         Facts(facts),
-        Section("Settings", Facts(settings)) if settings else None,
+        Section("Settings and statistics", Facts(settings)) if settings else None,
         Section(listed, hashed, folded=len(inputs) > LISTED) if inputs else None,
         id="provenance",
         folded=True,
