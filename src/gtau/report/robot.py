@@ -84,7 +84,7 @@ def _distances_at_home(model: InverseDynamics) -> list[float | None]:
     """Compute the distance to singularities of both types at home; None if the robot has no such singularity."""
     still = np.zeros((len(model.actuated), 1))
     near = singular_distances(model)(model.rates(model.home[:, None], still, still))[:, 0]
-    return [None if np.isnan(distance) else float(distance) for distance in near]
+    return [None if np.isnan(distance) else round(float(distance), 9) for distance in near]
 
 
 def _notes(robot: Robot) -> list[str]:
@@ -134,7 +134,7 @@ def _facts(model: InverseDynamics) -> Facts:
     if robot.base:
         facts["floating base"] = f"{robot.base[-1]}; its six equations are the rows {robot.base[0]} to {robot.base[-1]}"
     more = "" if parallel is None else f", type 2 (parallel) {parallel:.2g}"
-    facts["at home"] = f"distance to singularities (1 at best, 0 at one): type 1 (serial) {round(serial, 9):.2g}{more}"
+    facts["at home"] = f"distance to singularities (1 at best, 0 at one): type 1 (serial) {serial:.2g}{more}"
     return Facts(facts)
 
 
