@@ -161,11 +161,7 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
 
 
 def torques_chart(
-    prediction: Prediction,
-    kind: str,
-    time: np.ndarray,
-    errors: Sequence[TorqueError] = (),
-    title: str = "",
+    prediction: Prediction, kind: str, time: np.ndarray, errors: Sequence[TorqueError] = (), title: str = ""
 ) -> Chart:
     """Draw measured and predicted torques of each joint over ``time`` (K,), and the residuals below.
 

@@ -163,64 +163,31 @@ def hats(x: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class EffectColumn:
-    """One column of an effect.
+    """One column of an effect, in the ``unit`` of its size."""
 
-    ``plausible`` is the standard deviation of the sizes that experience allows, in its ``unit``. It is about a
-    ``joint``, empty for columns that act on each joint with a size of its own, or a body (``subject``); ``about`` sets
-    it apart from the other columns of the effect, such as an axis or a run. Beyond the size ``largest`` it is no longer
-    what the effect adds, as torques are linear in small changes alone; a size below ``least`` is impossible, so that
-    the column stands for something else.
-    """
-
-    plausible: float
+    plausible: float  # standard deviation of the sizes that experience allows
     unit: str = RELATIVE
-    joint: str = ""
-    subject: str = ""
-    about: str = ""
-    largest: float = np.inf
-    least: float = -np.inf
+    joint: str = ""  # empty where the column acts on each joint with a size of its own
+    subject: str = ""  # a body
+    about: str = ""  # what sets it apart from other columns of the effect, such as an axis or a run
+    largest: float = np.inf  # beyond it is no longer what the effect adds: torques are linear in small changes alone
+    least: float = -np.inf  # below it is impossible, so that the column stands for something else
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One way in which a model, or the description of robot and logs, may differ from what was logged.
+    """One way in which a model, or the description of robot and logs, may differ from what was logged."""
 
-    Attributes
-    ----------
-    name : str
-        In ``model.json``, reports and messages.
-    torques : callable
-        From a window of a fit to the torques of the columns, each of size 1 in the column's unit; zero for joints that
-        the effect does not act on.
-    columns : callable
-        From a fit to its columns; none where the effect does not apply to the robot.
-    say : callable
-        From a fit, a column with its joint, and its size to the cause in words, and what to do about it.
-    shared : bool
-        Whether a column acts on all joints with one size, as columns of links do, and reaches torque sensors too;
-        otherwise it is of a drive, with a size for each joint.
-    description : bool
-        Whether it contradicts the user's description of robot and logs; otherwise it is physics that the model lacks.
-    function : bool
-        Whether its columns, such as knots, or a sine and a cosine, have one size together: their rms torque.
-    in_runs : bool
-        Whether it has another size in each run, which drifts from run to run.
-    of_motion : bool
-        Whether it moves positions or time, so that its torques are linear in small sizes alone.
-    harmless : float
-        Size beyond which physics does not explain it either, so that it contradicts the description.
-    """
-
-    name: str
-    torques: WindowTorques
-    columns: Callable[[Fit], Iterable[EffectColumn]]
-    say: Callable[[Fit, EffectColumn, float], Words]
-    shared: bool = False
-    description: bool = False
-    function: bool = False
-    in_runs: bool = False
-    of_motion: bool = False
-    harmless: float = np.inf
+    name: str  # in model.json, reports and messages
+    torques: WindowTorques  # of the columns, of size 1 each; zero for joints that the effect does not act on
+    columns: Callable[[Fit], Iterable[EffectColumn]]  # none where the effect does not apply to the robot
+    say: Callable[[Fit, EffectColumn, float], Words]  # of a column with its joint, and its size
+    shared: bool = False  # a column has one size for all joints, as columns of links do, and reaches torque sensors too
+    description: bool = False  # it contradicts the user's description; otherwise it is physics that the model lacks
+    function: bool = False  # its columns, such as knots, or a sine and a cosine, have one size: their rms torque
+    in_runs: bool = False  # it has another size in each run, which drifts from run to run
+    of_motion: bool = False  # it moves positions or time, so that its torques are linear in small sizes alone
+    harmless: float = np.inf  # beyond this size physics does not explain it, so that it contradicts the description
 
     def cause(self, fit: Fit, column: EffectColumn, size: float) -> Finding:
         """Return what a column of some size is, and what to do about it, as a finding."""
@@ -230,25 +197,18 @@ class Effect:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EstimatedEffect:
-    """An effect as the data show it, beside all others: its name, what it is (``cause``), and what to do about it.
+    """An effect as the data show it, beside all others."""
 
-    ``size`` and ``std`` are of its largest column, or of a function its rms torque over the rms torque of the joint.
-    The data lose ``likelihood`` (its logarithm) without it, all others being found again. It explains the ``share`` of
-    the residual variance, at most 1; with it the gain of each motor moves by ``moves``, per cent of itself.
-    ``description``: it contradicts the description of robot and logs, as such or by its size; ``beyond``: it is so
-    large that it does not explain what it seems to.
-    """
-
-    effect: str
-    cause: Finding
-    size: float
+    effect: str  # its name
+    cause: Finding  # what it is, and what to do about it
+    size: float  # of its largest column; of a function, its rms torque over the rms torque of the joint
     std: float
     unit: str
-    likelihood: float
-    share: float
-    moves: Mapping[str, float] = field(default_factory=dict)
-    description: bool = False
-    beyond: bool = False
+    likelihood: float  # its logarithm, which the data lose without the effect, all others being found again
+    share: float  # of the residual variance that it explains, at most 1
+    moves: Mapping[str, float] = field(default_factory=dict)  # of each motor's gain with it, per cent of the gain
+    description: bool = False  # it contradicts the description of robot and logs, as such or by its size
+    beyond: bool = False  # it is so large that it does not explain what it seems to
 
     def __repr__(self) -> str:
         return f"EstimatedEffect({self.subject}: {self.size:.3g} +- {self.std:.2g} {self.unit})"

@@ -128,14 +128,10 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
                 f"{path} is an SDF file, which is not read; make an MJCF file of it by 'sdf2mjcf {path.name} "
                 f"{path.stem}.xml' of the package sdformat-mjcf, or give a URDF or a robot file."
             )
-        case ".par":
-            from gtau.robots.readers.mdh_table import read_par
+        case ".par" | ".csv" as ending:
+            from gtau.robots.readers.mdh_table import read_mdh_csv, read_par
 
-            return read_par(path)
-        case ".csv":
-            from gtau.robots.readers.mdh_table import read_mdh_csv
-
-            return read_mdh_csv(path)
+            return read_par(path) if ending == ".par" else read_mdh_csv(path)
         case ".xacro" if path.is_file():
             from gtau.robots.readers.xacro import expanded
 

@@ -54,9 +54,8 @@ def _columns(fit: Fit) -> list[EffectColumn]:
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    what = f"an elastic joint '{column.joint}'"
-    part = f"the {column.about} of {what}" if column.about else what
-    return part, "move more slowly, or log the position behind the gear"
+    part = f"the {column.about} of " if column.about else ""
+    return f"{part}an elastic joint '{column.joint}'", "move more slowly, or log the position behind the gear"
 
 
 EFFECT = Effect("elasticity", _torques, _columns, _say, shared=True, of_motion=True)
