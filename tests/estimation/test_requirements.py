@@ -9,12 +9,14 @@ import pytest
 from five_bar_logs import Plant, write_experiment
 
 import gtau
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.results.estimate import Requirement
 from gtau.estimation.results.model_file import to_document
+from gtau.findings import Finding
 from gtau.report.evidence import RunEvidence, gather
 from gtau.report.identification import report_page, summary_page, verdict_section
 from gtau.report.page import Page, Text
-from gtau.report.parameters import correlation_section
+from gtau.report.parameters import correlation_section, effects_chart
 from gtau.report.render.terminal import plain
 from gtau.report.torques import determination
 from gtau.robots.parameter import parameter_of
@@ -82,6 +84,18 @@ def test_names_of_drifting_parameters_and_many_estimates_are_explained(result: g
     assert shown is not None
     text = plain(Page("", shown))
     assert "fv_left@2: by how much fv_left in run 2, 'loaded', differs from its mean" in text
+
+
+def test_effects_of_one_name_are_shown_by_their_words() -> None:
+    def effect(name: str, words: str, move: float) -> EstimatedEffect:
+        cause = Finding(name, ("left",), text=words, advice="move more slowly")
+        return EstimatedEffect(name, cause, 1.0, 0.1, "", 9.0, 0.1, {"left": move})
+
+    rows = effect("elasticity", "an elastic joint", 2.0), effect("elasticity", "its rotor", 1.0), effect("lag", "", 0.5)
+    chart = effects_chart(rows, "torque")
+    assert chart is not None
+    assert [*chart.panels[0].y.names.values()] == ["an elastic joint", "its rotor", "lag left"]
+    assert chart.panels[0].x.label == "moves a scale by, %"
 
 
 def test_the_report_counts_r_squared_of_its_runs(result: gtau.Result) -> None:

@@ -40,7 +40,7 @@ PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
 EFFECTS = (
     "All effects are random effects of one mixed model, estimated together with the parameters. Log-likelihood: loss "
     "of a fit without the effect; below 3 the data hardly show it. The estimates and intervals include all effects. "
-    "Effects are sorted by the largest move of a gain."
+    "Effects are sorted by their largest move."
 )
 DRAWN, VISIBLE = 12, 0.02  # most effects in the chart, and the smallest move of a gain, per cent
 
@@ -261,7 +261,7 @@ def singular_values_chart(values: np.ndarray) -> Chart:
     return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
 
 
-def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
+def effects_chart(effects: Sequence[EstimatedEffect], kind: str) -> Chart | None:
     """Draw the largest effects by the largest move of a gain, per cent, with 95 % intervals."""
     drawn = [effect for effect in effects if effect.largest_move > VISIBLE and effect.size][:DRAWN]
     if not drawn:
@@ -270,7 +270,8 @@ def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
     halves = [1.96 * abs(move * effect.std / effect.size) for move, effect in zip(moves, drawn, strict=True)]
     names = [f"{effect.effect} {effect.cause.joint}".strip() for effect in drawn]
     labels = [each.subject if names.count(name) > 1 else name for name, each in zip(names, drawn, strict=True)]
-    return Chart((intervals(labels, moves, halves, "moves a gain by, %", zero=True),), "Effects")
+    axis = f"moves a {'scale' if kind == 'torque' else 'gain'} by, %"
+    return Chart((intervals(labels, moves, halves, axis, zero=True),), "Effects")
 
 
 def effects_section(result: IdentifiedModel) -> Section | None:
@@ -297,7 +298,8 @@ def effects_section(result: IdentifiedModel) -> Section | None:
     )
     full_list = Section(f"All {len(ranked)} effects", listed, folded=True)
     drifting = _drift_text([effect.subject for effect in ranked], result)
-    return Section("Effects beside the model", Text(EFFECTS), drifting, effects_chart(ranked), full_list, id="effects")
+    chart = effects_chart(ranked, result.kind)
+    return Section("Effects beside the model", Text(EFFECTS), drifting, chart, full_list, id="effects")
 
 
 def _drift_text(texts: Iterable[str], result: IdentifiedModel) -> Text | None:

@@ -209,7 +209,8 @@ class Plots:
 
     def effects(self) -> Figure:
         """Draw the effects that model and description lack, by how much each would move a gain, with intervals."""
-        chart = parameters.effects_chart(sorted(self.result.effects, key=lambda effect: -effect.largest_move))
+        ranked = sorted(self.result.effects, key=lambda effect: -effect.largest_move)
+        chart = parameters.effects_chart(ranked, self.result.kind)
         if chart is None:
             raise GtauError("no effect would move a gain, so there is nothing to draw.")
         return figure_of(chart)
