@@ -488,6 +488,8 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     after = call(str(logs[7]), "--reset", "2026-01-08")
     assert after.exit_code == 0, after.output
     assert "1 of 4 healthy logs" in after.stdout
+    rows = re.findall(r"^drive gain of left .*$", after.stdout, re.MULTILINE)
+    assert [row.split()[-3:] for row in rows] == [["-", "-", "-"]]  # nothing is known yet
     later = write_log(tmp_path / "day_2026-01-09.csv", day(9))
     assert "2 of 4 healthy logs" in call(str(later), "--reset", "2026-01-08").stdout  # the same maintenance
     assert "write it as 2026-03-28" in call(str(later), "--reset", "March").stderr
