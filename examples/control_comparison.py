@@ -195,6 +195,6 @@ def model_parameters(result: Result, payload: Payload | None) -> np.ndarray:
     chi = np.array([result.parameters[name].value or 0.0 for name in base.names])
     if payload is not None:
         place = {name: k for k, name in enumerate(model.parameter_names)}
-        for kind, value in {**result.payload(payload.name), **known_values(payload)}.items():
+        for kind, value in {**result.payload_values.get(payload.name, {}), **known_values(payload)}.items():
             chi = chi + value * base.matrix[:, place[Parameter(kind, model.robot.tool)]]
     return chi

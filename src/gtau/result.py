@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+from warnings import warn
 
 import numpy as np
 
 from gtau.documents.validation import FUNCTION, MASSES, NUMBER, PATH, TEXT, TRUTH, takes
-from gtau.errors import GtauError, UnknownName, spelled
+from gtau.errors import UnknownName, spelled
 from gtau.estimation import check_logs
 from gtau.estimation.experiment_runs import ACCURACY, options_of
 from gtau.estimation.identify import EstimatorComparison, compare as compare_estimators
@@ -23,8 +24,8 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identified, identify as uses
-from gtau.uses.identify import draft
-from gtau.uses.prediction import Prediction, predict, torques, validate
+from gtau.uses.identify import described
+from gtau.uses.prediction import Prediction, predict, torque_errors, torques
 
 if TYPE_CHECKING:
     import polars as pl
@@ -115,9 +116,11 @@ class Result(IdentifiedModel):
     def predict(self, run: Run | str | Path) -> Prediction:
         """Predict torques along a run, or the path of a log like the model's, beside the measured ``v g_tau``.
 
-        Raises GtauError where the log does not suit.
+        A path stands for the run with the payload whose mass the log's name gives, as in ``gtau validate``, or none.
+        The prediction's ``notes``, which are also warnings, say what is assumed of the payload. Raises GtauError where
+        the log does not suit.
         """
-        return predict(self, run)
+        return _warned(predict(self, run))
 
     def external_torques(
         self,
@@ -136,14 +139,14 @@ class Result(IdentifiedModel):
         from gtau.uses.external_torques import torques_along_log
 
         at = None if frame is None else frame_on(self.robot.tool, frame, robot)
-        return torques_along_log(self, run, at, force_only, observer)
+        return _warned(torques_along_log(self, run, at, force_only, observer))
 
     def validate(self, run: Run | str | Path) -> tuple[TorqueError, ...]:
         """Compute torque errors of each joint on a run or log: of the raw torque, by frequency, and in the fit's band.
 
-        Takes and raises what :meth:`predict` does.
+        Takes and raises what :meth:`predict` does, and warns as it does.
         """
-        return validate(self, run)
+        return torque_errors(_warned(predict(self, run)), self.robot, self.preparation.bandwidth)
 
     @property
     def plot(self) -> Plots:
@@ -193,6 +196,16 @@ class Result(IdentifiedModel):
     def load(cls, path: str | Path) -> Result:
         """Load a result, as :func:`gtau.load` does."""
         return load(path)
+
+
+Noted = TypeVar("Noted", Prediction, "TorquesAlongLog")
+
+
+def _warned(made: Noted) -> Noted:
+    """Warn the caller of a public method of what is assumed."""
+    for note in made.notes:
+        warn(f"{note}.", stacklevel=3)
+    return made
 
 
 @takes(path=PATH)
@@ -297,8 +310,8 @@ def identify(
     """
     asked = {"method": method, "as_paper": as_paper, "consistent": consistent, "accuracy": accuracy, "ratio": ratio}
     options = options_of(prior_gains, priors, prior_inertias=prior_inertias, **asked)
-    described = _described(source, runs, robot, payload, "identify")
-    return Result.of(uses.identify(described, runs, options, progress or silent))
+    subject = described(source, runs, robot, payload, "identify")
+    return Result.of(uses.identify(subject, runs, options, progress or silent))
 
 
 class ExperimentCheck(check_logs.CheckedExperiment):
@@ -340,9 +353,9 @@ def check(
     information
     """
     options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
-    described = _described(source, runs, robot, payload, "check")
-    checked = check_logs.check(described, runs, options, progress or silent)
-    guesses = described.guesses if isinstance(described, Experiment) else ()
+    subject = described(source, runs, robot, payload, "check")
+    checked = check_logs.check(subject, runs, options, progress or silent)
+    guesses = subject.guesses if isinstance(subject, Experiment) else ()
     return ExperimentCheck(**{**vars(checked), "notes": (*checked.notes, *guesses)})
 
 
@@ -370,21 +383,4 @@ def compare(
     ['ml', 'huber', 'iv', 'didim', '2sls', 'tls']
     """
     options = options_of(prior_gains, priors, prior_inertias=prior_inertias)
-    return compare_estimators(_described(source, runs, robot, payload, "compare"), runs, options, progress or silent)
-
-
-def _described(
-    source: Any, runs: Sequence[Run] | None, robot: str | Path | None, payload: Mapping[str, float] | None, call: str
-) -> Any:
-    """Draft an experiment from logs; hand on anything else, which is refused where it is read."""
-    if not isinstance(source, (list, tuple)):
-        if robot or payload:
-            raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
-        if isinstance(source, str) and isinstance(runs, (list, tuple)) and isinstance(next(iter(runs), None), str):
-            raise GtauError(f"logs are runs themselves; did you mean gtau.{call}(logs, robot={source!r})?")
-        return source
-    if any(isinstance(run, Run) for run in source):
-        raise GtauError(f"runs go with their robot; did you mean gtau.{call}(gtau.load_robot(...), runs)?")
-    if runs is not None:
-        raise GtauError(f"logs are runs themselves; did you mean gtau.{call}(logs, robot=...)?")
-    return draft(source, robot, payload)
+    return compare_estimators(described(source, runs, robot, payload, "compare"), runs, options, progress or silent)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -160,6 +161,23 @@ def test_a_path_in_the_place_of_a_run(result: gtau.Result, folder: Path) -> None
         result.predict("no.csv")
     with pytest.raises(gtau.GtauError, match=r"this takes a run, not a list; read the log with gtau\.read_run"):
         result.predict(["free.csv"])  # type: ignore[arg-type]
+
+
+def test_what_is_assumed_of_a_payload_is_said(result: gtau.Result, folder: Path, tmp_path: Path) -> None:
+    """A path is read as the command line reads it; a name that the model does not know is no silent point mass."""
+    assert result.recording is not None
+    named = shutil.copy(folder / "check.csv", tmp_path / "check_1200g.csv")
+    steel = result.validate(gtau.read_run(named, result.recording.signals, {"name": "steel", "mass": 1.2}))
+    with pytest.warns(UserWarning, match=r"payload 'steel' of 1\.2 kg is assumed, from the name of check_1200g"):
+        assert result.validate(named) == steel
+    other = gtau.read_run(named, result.recording.signals, {"name": "stel", "mass": 1.2})
+    with pytest.warns(UserWarning, match=r"'stel' is not a payload of the model \('steel'\), so .* a point mass"):
+        prediction = result.predict(other)
+    assert "'stel' is not a payload of the model" in repr(prediction)
+    with pytest.raises(gtau.GtauError, match=r"may mean a payload of 1\.5 or 5 kg; give a run with it"):
+        result.predict("loaded_1_5kg.csv")
+    with pytest.raises(KeyError, match="the model knows no payload 'stel'; choose from steel"):
+        result.payload("stel")
 
 
 @pytest.mark.slow

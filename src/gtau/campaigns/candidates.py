@@ -77,7 +77,7 @@ def beside_the_axis(design: Design, result: IdentifiedModel) -> Iterator[Candida
     heaviest = max(loads, key=lambda load: load.mass or 0.0, default=None)
     if not driven or not turns or heaviest is None or not heaviest.mass:
         return
-    moments, axis = result.payload(heaviest.name), np.array(robot.joint(last).axis)
+    moments, axis = result.payload_values.get(heaviest.name, {}), np.array(robot.joint(last).axis)
     center = np.array([moments.get(kind, 0.0) for kind in FIRST_MOMENTS]) / heaviest.mass
     off = float(np.linalg.norm(center - (center @ axis) * axis))
     if off < BESIDE:
@@ -156,7 +156,7 @@ def _carried(payload: Payload | None, result: IdentifiedModel) -> Payload | None
     """Give a payload its identified centre, scaled to its mass."""
     if payload is None or payload.mass is None:
         return payload
-    known = result.payload(payload.name)
+    known = result.payload_values.get(payload.name, {})
     scale = payload.mass / known["m"] if known.get("m") else 1.0
     moments = {kind: known[kind] * scale for kind in FIRST_MOMENTS if kind in known}
     return payload.model_copy(update={"parameters": moments | payload.parameters})

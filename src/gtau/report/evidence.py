@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gtau.errors import GtauError, quoted
+from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, by_severity, moment
@@ -18,7 +18,6 @@ from gtau.report.page import Column, Kind, Section, Table, Text, joint_label
 from gtau.report.render.html import Inputs
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.experiment import Experiment, read_experiment
-from gtau.signals.reading.formats import reading
 from gtau.signals.run import Run
 from gtau.uses.prediction import Prediction, predict, torque_errors
 from gtau.uses.weigh import undeclared_load
@@ -132,21 +131,8 @@ def predicted(
     prediction = predict(result, replace(run, **beginning) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
     load = None if used or cut else undeclared_load(result, run, errors, progress)
-    notes = (*((load,) if load else ()), *_unknown_payload(result, run))
+    notes = (*((load,) if load else ()), *prediction.notes)
     return RunEvidence(run, used, prediction.rows, prediction if whole else None, errors, cut=cut, notes=notes)
-
-
-def _unknown_payload(result: IdentifiedModel, run: Run) -> Iterator[Finding]:
-    """Note a payload that the model does not know and of which the run gives only the mass."""
-    payload = run.payload
-    if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
-        return
-    known = ", ".join(dict.fromkeys(quoted(estimate.name) for estimate in result.payloads)) or "it has none"
-    text = (
-        f"payload '{payload.name}' is not a payload of the model ({known}), so it is treated as a point mass of "
-        f"{payload.mass:.4g} kg at the origin of '{result.robot.tool}'"
-    )
-    yield reading("payload unknown to the model", text=text, advice="correct the name, or give its 'parameters'")
 
 
 def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:

@@ -28,6 +28,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.rows import stream_motions
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
+from gtau.findings import Finding
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
 from gtau.robots.geometry import characteristic_length, refuse_floating
@@ -241,6 +242,7 @@ class TorquesAlongLog:
     joints: tuple[External, ...]
     errors: tuple[TorqueError, ...]
     wrench: WrenchAlongLog | None = None
+    notes: tuple[Finding, ...] = ()
 
 
 def torques_along_log(
@@ -267,7 +269,7 @@ def torques_along_log(
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
         table = table.with_columns(**wrench.columns).fill_nan(None)
     errors = torque_errors(raw, result.robot, result.preparation.bandwidth)
-    return TorquesAlongLog(table, tuple(joints), errors, wrench)
+    return TorquesAlongLog(table, tuple(joints), errors, wrench, raw.notes)
 
 
 def predict_under_load(result: IdentifiedModel, run: Run) -> Prediction:

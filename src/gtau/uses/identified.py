@@ -91,8 +91,8 @@ def identified(result: IdentifiedModel) -> Identified:
     parameters = (*(result.parameters[name] for name in result.base.names), *terms)
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
     payloads = {}
-    for name in dict.fromkeys(payload.name for payload in result.payloads):
-        if "m" in (weighed := result.payload(name)):
+    for name, weighed in result.payload_values.items():
+        if "m" in weighed:
             payloads[name] = np.array([parameter.value or 0.0 for parameter in parameters])
             payloads[name][: result.base.count] += on_tool(result, weighed)
     return Identified(result, identifier(robot.name), parameters, payloads, result.gains, units)

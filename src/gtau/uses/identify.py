@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gtau.documents.validation import MAPPING, MASSES, NAMES, NUMBER, PATH, TEXT, expect, takes, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation import identify as estimation
 from gtau.estimation.experiment_runs import Options, Source, Subject, describe, read, read_validation
+from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
 from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Limits, Robot, RobotFile
+from gtau.signals.preparation.bandwidth import position_noise
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.discovery import Draft
 from gtau.signals.reading.drafting import (
     Stated,
@@ -26,7 +33,6 @@ from gtau.signals.reading.drafting import (
     draft_as,
     draft_logs,
     draft_text,
-    drafted_name,
     guesses,
     to_weigh,
     with_sensors,
@@ -80,7 +86,7 @@ def carrying(model: IdentifiedModel, run: Run, payload: str) -> Run:
 
 def require_payload(model: IdentifiedModel, payload: str) -> None:
     """Refuse a name of no payload whose mass the model knows; raises GtauError."""
-    known = [name for name in dict.fromkeys(payload.name for payload in model.payloads) if "m" in model.payload(name)]
+    known = [name for name, values in model.payload_values.items() if "m" in values]
     if payload not in known:
         raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
 
@@ -136,7 +142,63 @@ def identify_subject(subject: Subject, progress: Progress = silent) -> Identifie
     """Identify a robot from the runs of a subject, without the requirements of its experiment; raises GtauError."""
     with single_threaded_blas():
         result = estimation.identify_subject(subject, progress)
-        return prediction.with_prediction_cutoffs(result, result.data)
+        return with_prediction_cutoffs(result, result.data)
+
+
+SAMPLES = 1 << 14  # of all runs together, from the middle of each
+STEP = np.sqrt(2.0)  # between the cut-offs tried
+# Share by which position noise may raise the error. The error hardly depends on a cut-off below the noise (the
+# Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions may be faster than the logs.
+RAISED = 0.01
+NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
+
+
+def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> IdentifiedModel:
+    """Choose the position filter of each joint for predictions, from ``runs`` that a model was identified from.
+
+    A lower cut-off loses the torque of fast motion; a higher one passes position noise. Each joint gets the highest
+    whose error against the raw torque exceeds the least by at most 1 %. A position filter set by hand is kept.
+    """
+    preparation, blocks = result.preparation, []
+    if "position_filter" in preparation.given:
+        return result
+    for run in runs:
+        prepared, moving = prediction.prepared_for(result, run)
+        middle = (moving.start + moving.stop) // 2
+        half = SAMPLES // len(runs) // 2
+        kept = range(max(moving.start, middle - half), min(moving.stop, middle + half))
+        with suppress(GtauError):  # of a payload whose mass is unknown
+            chi = prediction.loaded_parameters(result, run.payload, f"run '{run.name}'")
+            blocks.append((replace(prepared, kept=kept), chi))
+    if not blocks:
+        return result
+    highest = HIGHEST_CUTOFF * min(run.rate for run in runs)
+    tried = [preparation.bandwidth]
+    while tried[-1] * STEP < highest:
+        tried.append(tried[-1] * STEP)
+    errors: list[np.ndarray] = []
+    for cutoff in tried:
+        errors.append(np.sqrt(np.sum([_squares(result, cutoff, *block) for block in blocks], axis=0)))
+        if (errors[-1] > NOISY * np.min(errors, axis=0)).all():
+            break
+    allowed = np.array(errors) <= (1 + RAISED) * np.min(errors, axis=0)
+    last = len(errors) - 1 - np.argmax(allowed[::-1], axis=0)
+    cutoffs = tuple(float(tried[k]) if tried[k] < highest else None for k in last)
+    noise = np.max([position_noise(prepared.run, cutoffs) for prepared, _ in blocks], axis=0)
+    preparation = replace(preparation, prediction_cutoffs=cutoffs, position_noise=tuple(noise.tolist()))
+    return result.replaced(preparation=preparation)
+
+
+def _squares(result: IdentifiedModel, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:
+    """Sum squares (n,) of the errors against the raw torques, with positions behind a ``cutoff`` (Hz)."""
+    idm = result.idm
+    wide = replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
+    if idm in prepared.paths:  # along positions behind the previous cut-off
+        labels = instants(prepared.run.name, wide.time)
+        wide.paths[idm] = idm.near(prepared.paths[idm], wide.all_samples.q.T.copy(), labels)
+    predicted, _, measured = prediction.joint_torques(result, wide, chi)
+    prepared.paths.update(wide.paths)
+    return np.asarray(np.sum((measured - predicted) ** 2, axis=1, where=prepared.valid()[:, : len(measured)].T))
 
 
 def with_requirements(result: IdentifiedModel, experiment: Experiment, validation: Validation) -> IdentifiedModel:
@@ -204,10 +266,8 @@ def drafted(
             source=logs[0],
         )
     draft = to_weigh(draft) if weigh else with_sensors(draft)
-    if model is not None:  # its payloads are meant by the names that drafts make of masses, where one has such a mass
-        names = {load.name: drafted_name(model.payload(load.name).get("m", 0.0)) for load in model.payloads}
-        known_as = {made: name for name, made in names.items() if name != made and [*names.values()].count(made) == 1}
-        draft = replace(draft, names=known_as)
+    if model is not None:
+        draft = replace(draft, names=prediction.known_names(model))
     if "file" not in draft.robot:
         raise GtauError(
             f"{logs[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
@@ -293,6 +353,23 @@ def draft(
     assumed = guesses(made, DRAFTED)
     experiment._guesses = tuple(replace(guess, advice=in_python(guess.advice)) for guess in assumed)
     return experiment
+
+
+def described(
+    source: Any, runs: Sequence[Run] | None, robot: str | Path | None, payload: Mapping[str, float] | None, call: str
+) -> Any:
+    """Draft an experiment from logs; hand on anything else, which is refused where it is read."""
+    if not isinstance(source, (list, tuple)):
+        if robot or payload:
+            raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
+        if isinstance(source, str) and isinstance(runs, (list, tuple)) and isinstance(next(iter(runs), None), str):
+            raise GtauError(f"logs are runs themselves; did you mean gtau.{call}(logs, robot={source!r})?")
+        return source
+    if any(isinstance(run, Run) for run in source):
+        raise GtauError(f"runs go with their robot; did you mean gtau.{call}(gtau.load_robot(...), runs)?")
+    if runs is not None:
+        raise GtauError(f"logs are runs themselves; did you mean gtau.{call}(logs, robot=...)?")
+    return draft(source, robot, payload)
 
 
 def in_python(sentence: str) -> str:

@@ -5,31 +5,32 @@ The position filter of each joint is chosen for this on the runs of the identifi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.errors import GtauError, spelled
+from gtau.errors import GtauError, quoted, spelled
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
-from gtau.estimation.regression.rows import Law, instants, stream_torques
+from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.estimate import BandError, TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Grade
+from gtau.findings import Finding, Grade
 from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
 from gtau.robots.parameter import SHAPES, TEMPERATURE_TERMS, Parameter, torque_unit
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.bandwidth import position_noise, widened
-from gtau.signals.preparation.filters import HIGHEST_CUTOFF, Decimator
+from gtau.signals.preparation.bandwidth import widened
+from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.drafting import alternatives, drafted_name
+from gtau.signals.reading.formats import reading
+from gtau.signals.reading.statements import Payload, masses_in_name
 from gtau.signals.run import Run, read_run, taper
 from gtau.signals.storage import spans
 
@@ -47,7 +48,7 @@ class Prediction:
     where their noise takes over; :attr:`in_band` has both behind the low-pass of identification, ``decimator``, and
     :attr:`rows` one sample in its factor. ``keep`` (N, n) is False near a joint's reversals and rests, which
     identification of gains and inertia leaves out, and near gaps; ``valid`` (N, n) is False near gaps and repaired
-    samples, and at the ends of the log up to where the motion begins.
+    samples, and at the ends of the log up to where the motion begins. ``notes`` say what is assumed of the payload.
     """
 
     joints: tuple[str, ...]
@@ -59,6 +60,7 @@ class Prediction:
     valid: np.ndarray
     friction: np.ndarray
     decimator: Decimator
+    notes: tuple[Finding, ...] = ()
 
     @property
     def in_band(self) -> Prediction:
@@ -87,7 +89,7 @@ class Prediction:
         return replace(self, joints=tuple(joints), units=units, **parts)
 
     def __repr__(self) -> str:
-        span = f"{self.time[0]:.4g} to {self.time[-1]:.4g} s"
+        span = f"{self.time[0]:.4g} to {self.time[-1]:.4g} s{''.join(f'; {note.what}' for note in self.notes)}"
         return f"Prediction({len(self.time)} samples of joints {', '.join(self.joints)}, {span})"
 
     def to_frame(self) -> pl.DataFrame:
@@ -147,17 +149,31 @@ def _bands(time: np.ndarray, raw: np.ndarray, valid: np.ndarray, bandwidth: floa
     return tuple(BandError(*values) for values in np.column_stack([edges[:-1], edges[1:], *rms]).tolist())
 
 
-SAMPLES = 1 << 14  # of all runs together, from the middle of each
-STEP = np.sqrt(2.0)  # between the cut-offs tried
-RAISED = 0.01  # share by which noise may raise the error: the highest such cut-off, as other motions may be faster
 OF_JOINTS = ("predicted", "measured", "friction", "keep", "valid")
-NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
+
+
+def known_names(result: IdentifiedModel) -> dict[str, str]:
+    """List the payloads of a model by the names that drafts make of masses, where one has such a mass."""
+    names = {name: drafted_name(values.get("m", 0.0)) for name, values in result.payload_values.items()}
+    return {made: name for name, made in names.items() if name != made and [*names.values()].count(made) == 1}
+
+
+def payload_in_name(result: IdentifiedModel, log: str | Path) -> Payload | None:
+    """Read the payload of a log from its name, as a draft does, by the model's name if it has one; raises GtauError."""
+    mass, *others = masses_in_name(Path(log).name) or (0.0,)
+    if others:
+        raise GtauError(
+            f"the name of {log} may mean a payload of {alternatives((mass, *others))} kg; give a run with it: "
+            "gtau.read_run(log, result.recording.signals, {'name': ..., 'mass': ...})."
+        )
+    name = drafted_name(mass)
+    return Payload(name=known_names(result).get(name, name), mass=mass) if mass > 0 else None
 
 
 def suited(result: IdentifiedModel, run: Run | str | Path) -> Run:
     """Order the columns of a run, or of a log like the model's, as its joints; raises GtauError."""
     if isinstance(run, (str, Path)) and result.recording is not None:
-        run = read_run(run, result.recording.signals, units=result.recording.units)
+        run = read_run(run, result.recording.signals, payload_in_name(result, run), result.recording.units)
     if not isinstance(run, Run):
         raise GtauError(
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), with "
@@ -186,6 +202,7 @@ def predict(result: IdentifiedModel, run: Run | str | Path, external: np.ndarray
     ``external`` (N, n) are torques of the environment on the joints, N m or N, which load their friction.
     """
     prepared, moving = prepared_for(result, run)
+    notes = tuple(_assumed(result, prepared.run, named=not isinstance(run, Run)))
     run = prepared.run
     decimator = prepared.preparation.decimator
     time = np.asarray(prepared.time)
@@ -206,7 +223,24 @@ def predict(result: IdentifiedModel, run: Run | str | Path, external: np.ndarray
         raise GtauError(f"run '{run.name}' has no usable rows, away from its reversals and gaps; give a longer run.")
     joints = result.idm.actuated
     units = tuple(torque_unit(result.robot, joint) for joint in joints)
-    return Prediction(joints, units, time, made.T, measured.T, keep, valid, friction_torque.T, decimator)
+    return Prediction(joints, units, time, made.T, measured.T, keep, valid, friction_torque.T, decimator, notes)
+
+
+def _assumed(result: IdentifiedModel, run: Run, named: bool) -> Iterator[Finding]:
+    """Note a payload ``named`` by its log alone, and one of which model and run know only the mass."""
+    payload = run.payload
+    if payload is None or payload.mass is None:
+        return
+    if named:
+        text = f"payload '{payload.name}' of {payload.mass:.4g} kg is assumed, from the name of {run.name}"
+        yield reading("payload by name", text=text, advice="give a run of gtau.read_run for another")
+    if not (payload.parameters or result.payload_values.get(payload.name)):
+        known = ", ".join(map(quoted, result.payload_values)) or "it has none"
+        text = (
+            f"payload '{payload.name}' is not a payload of the model ({known}), so it is treated as a point mass of "
+            f"{payload.mass:.4g} kg at the origin of '{result.robot.tool}'"
+        )
+        yield reading("payload unknown to the model", text=text, advice="correct the name, or give its 'parameters'")
 
 
 def joint_torques(
@@ -316,7 +350,7 @@ def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier:
     chi = np.array([result.parameters[name].value or 0.0 for name in result.base.names])
     if payload is None:
         return chi
-    identified = result.payload(payload.name)
+    identified = result.payload_values.get(payload.name, {})
     if payload.mass is None and "m" not in identified:
         raise GtauError(
             f"{carrier} carries the payload '{payload.name}', whose mass neither the run nor the model knows; add its "
@@ -329,51 +363,3 @@ def on_tool(result: IdentifiedModel, payload: Mapping[str, float]) -> np.ndarray
     """Compute the change (n_b,) of the base parameters by inertial parameters of a payload, by kind."""
     columns = [result.idm.parameter_names.index(Parameter(kind, result.robot.tool)) for kind in payload]
     return np.asarray(result.base.matrix[:, columns] @ list(payload.values()))
-
-
-def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> IdentifiedModel:
-    """Choose the position filter of each joint for predictions, from ``runs`` that a model was identified from.
-
-    A lower cut-off loses the torque of fast motion; a higher one passes position noise. Each joint gets the highest
-    whose error against the raw torque exceeds the least by at most 1 %. A position filter set by hand is kept.
-    """
-    preparation, blocks = result.preparation, []
-    if "position_filter" in preparation.given:
-        return result
-    for run in runs:
-        prepared, moving = prepared_for(result, run)
-        middle = (moving.start + moving.stop) // 2
-        half = SAMPLES // len(runs) // 2
-        kept = range(max(moving.start, middle - half), min(moving.stop, middle + half))
-        with suppress(GtauError):  # of a payload whose mass is unknown
-            chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
-            blocks.append((replace(prepared, kept=kept), chi))
-    if not blocks:
-        return result
-    highest = HIGHEST_CUTOFF * min(run.rate for run in runs)
-    tried = [preparation.bandwidth]
-    while tried[-1] * STEP < highest:
-        tried.append(tried[-1] * STEP)
-    errors: list[np.ndarray] = []
-    for cutoff in tried:
-        errors.append(np.sqrt(np.sum([_squares(result, cutoff, *block) for block in blocks], axis=0)))
-        if (errors[-1] > NOISY * np.min(errors, axis=0)).all():
-            break
-    allowed = np.array(errors) <= (1 + RAISED) * np.min(errors, axis=0)
-    last = len(errors) - 1 - np.argmax(allowed[::-1], axis=0)
-    cutoffs = tuple(float(tried[k]) if tried[k] < highest else None for k in last)
-    noise = np.max([position_noise(prepared.run, cutoffs) for prepared, _ in blocks], axis=0)
-    preparation = replace(preparation, prediction_cutoffs=cutoffs, position_noise=tuple(noise.tolist()))
-    return result.replaced(preparation=preparation)
-
-
-def _squares(result: IdentifiedModel, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:
-    """Sum squares (n,) of the errors against the raw torques, with positions behind a ``cutoff`` (Hz)."""
-    idm = result.idm
-    wide = replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
-    if idm in prepared.paths:  # along positions behind the previous cut-off
-        labels = instants(prepared.run.name, wide.time)
-        wide.paths[idm] = idm.near(prepared.paths[idm], wide.all_samples.q.T.copy(), labels)
-    predicted, _, measured = joint_torques(result, wide, chi)
-    prepared.paths.update(wide.paths)
-    return np.asarray(np.sum((measured - predicted) ** 2, axis=1, where=prepared.valid()[:, : len(measured)].T))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from gtau.errors import UnknownName
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.friction.curves import FrictionCurve, ReferenceTemperatures
 from gtau.estimation.friction.law import FrictionLaw
@@ -193,15 +194,22 @@ class IdentifiedModel:
         plain = {name: listed[base] for name, base in pairs if name.kind in PLAIN_FRICTION and base in listed}
         return plain | {name: estimate for name, estimate in self.friction.items() if name.kind not in SHAPES}
 
-    def payload(self, name: str) -> dict[str, float]:
-        """Return a payload's identified parameters by kind, the mean over its runs; empty for an unknown name."""
-        values_of: dict[str, list[float]] = {}
+    @cached_property
+    def payload_values(self) -> dict[str, dict[str, float]]:
+        """Identified parameters of each payload by its name and by kind, means over its runs."""
+        values: dict[str, dict[str, list[float]]] = {payload.name: {} for payload in self.payloads}
         for payload in self.payloads:
-            if payload.name == name:
-                for kind, estimate in payload.parameters.items():
-                    if estimate.value is not None:
-                        values_of.setdefault(kind, []).append(estimate.value)
-        return {kind: float(np.mean(values)) for kind, values in values_of.items()}
+            for kind, estimate in payload.parameters.items():
+                if estimate.value is not None:
+                    values[payload.name].setdefault(kind, []).append(estimate.value)
+        return {name: {kind: float(np.mean(of)) for kind, of in kinds.items()} for name, kinds in values.items()}
+
+    def payload(self, name: str) -> dict[str, float]:
+        """Return a payload's identified parameters by kind, the mean over its runs; raises GtauError for a new name."""
+        if name not in self.payload_values:
+            known = ", ".join(self.payload_values) or "none"
+            raise UnknownName(f"the model knows no payload '{name}'; choose from {known}.")
+        return self.payload_values[name]
 
     @property
     def believable(self) -> bool:

@@ -32,7 +32,7 @@ class Preparation:
     suits runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); other runs are decimated to the same row rate.
     A joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
     settings made by hand. ``prediction_cutoffs`` (Hz) and ``position_noise`` of each joint, where they are known, are
-    for predicted torques: see :func:`gtau.uses.prediction.with_prediction_cutoffs` and
+    for predicted torques: see :func:`gtau.uses.identify.with_prediction_cutoffs` and
     :func:`gtau.signals.preparation.bandwidth.position_noise`.
     """
 
