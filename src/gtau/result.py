@@ -24,7 +24,7 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identified, identify as uses
-from gtau.uses.identify import described
+from gtau.uses.identify import described, python_words
 from gtau.uses.prediction import Prediction, predict, torque_errors, torques
 
 if TYPE_CHECKING:
@@ -42,6 +42,9 @@ OF_ALL = {"progress": FUNCTION, "prior_inertias": NUMBER, "robot": PATH, "payloa
     **dict.fromkeys(("crba", "mass_matrix"), "result.inertia(q)"),
     gravload="result.gravity(q)",
     joints="result.robot.actuated",
+    findings="result.notes",
+    weigh="gtau.weigh(result, source)",
+    fit="gtau.identify(source)",
     verdict="result.drive_gains[joint].verdict",
     **dict.fromkeys(("to_dict", "to_json", "to_dataframe", "df"), "result.to_frame() or result.save(path)"),
 )
@@ -122,6 +125,7 @@ class Result(IdentifiedModel):
         """
         return _warned(predict(self, run))
 
+    @python_words()
     def external_torques(
         self,
         run: Run,
@@ -186,6 +190,7 @@ class Result(IdentifiedModel):
         """Write the result as JSON, atomically: the ``model.json`` that :func:`gtau.load` and the commands read."""
         model_file.save(self, path)
 
+    @python_words()
     def export(self, kind: str, out: str | Path = "exported", **options: Any) -> Exported:
         """Export the result to a folder, as :func:`gtau.export_model` does."""
         from gtau.export.exported import export_model
@@ -235,6 +240,7 @@ def load(path: str | Path) -> Result:
     return Result.of(model_file.load(path))
 
 
+@python_words()
 @takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, **OF_ALL)
 def identify(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
@@ -325,6 +331,7 @@ class ExperimentCheck(check_logs.CheckedExperiment):
         return plain(check_page(self))
 
 
+@python_words()
 @takes(method=TEXT, **OF_ALL)
 def check(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
@@ -359,6 +366,7 @@ def check(
     return ExperimentCheck(**{**vars(checked), "notes": (*checked.notes, *guesses)})
 
 
+@python_words()
 @takes(**OF_ALL)
 def compare(
     source: str | Path | Experiment | Robot | Sequence[str | Path],

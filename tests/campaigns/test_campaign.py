@@ -175,7 +175,7 @@ def test_logs_may_be_set_aside(copied: Path) -> None:
 def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, tmp_path: Path) -> None:
     with pytest.raises(GtauError, match="states robot five-bar and payloads of 1 kg, other than the command"):
         campaign(copied, payload=2.0)
-    with pytest.raises(GtauError, match="holds no campaign; begin it with --robot and --payload-mass"):
+    with pytest.raises(GtauError, match="holds no campaign; begin it with a robot and the mass of a payload"):
         campaign(tmp_path / "none")
     with pytest.raises(GtauError, match="mass"):
         campaign(tmp_path / "none", robot="five-bar", payload=-1.0)
@@ -325,7 +325,7 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
         identified = result_of(
             gain("arm", 1.0, 0.01, 0.0), gain("forearm", 1.0, 0.01, 0.0), gain("hand", 1.0, hand, 0.0)
         )
-        identified.robot, identified.payload = task.model.robot, lambda name: known
+        identified.robot, identified.payload_values = task.model.robot, {"payload": known}
         return identified
 
     assert list(beside_the_axis(designed, result_with(0.009))) == []  # the gain of another joint is the least known

@@ -45,6 +45,8 @@ def test_numbers_of_an_estimate(result: gtau.Result) -> None:
     assert f"{gain}" == str(gain)
     assert (gain * 2, 2 * gain, gain / 2, 2 / gain) == (2 * gain.value, 2 * gain.value, gain.value / 2, 2 / gain.value)
     assert (gain * np.ones(3)).tolist() == (np.ones(3) * gain).tolist() == [gain.value] * 3
+    assert (round(gain, 2), gain > 2, gain >= 2, gain < 2) == (round(float(gain), 2), True, True, False)
+    assert str(replace(gain, unit="1")) == str(gain).removesuffix(" N m/A")
     assert (str(gain.verdict), repr(gain.verdict)) == ("good", "Finding(good, 'good')")
 
 
@@ -136,6 +138,18 @@ def test_a_stated_payload_against_the_name_is_noted_once(tmp_path: Path) -> None
         assert [note.rpartition(": ")[2] for note in against] == [said] * bool(said)
 
 
+def test_what_is_returned_is_shown_in_a_line(result: gtau.Result, tmp_path: Path) -> None:
+    run = result.data[0]
+    shown = {
+        r"TorqueError\('left': [\d.]+ % of [\d.]+ N m, raw [\d.]+ %\)": result.validate(run)[0],
+        r"TorquesAlongLog\(\d+ samples; largest: left -?[\d.]+ N m at [\d.]+ s, right .*": result.external_torques(run),
+        r"Exported\(\S*/five_bar.csv\)": result.export("csv", tmp_path),
+        r"Watch\('five-bar': baseline, logs: 0, no alarm\)": gtau.Watch(result),
+    }
+    for pattern, each in shown.items():
+        assert re.fullmatch(pattern, repr(each)), repr(each)
+
+
 def test_figures(result: gtau.Result, folder: Path) -> None:
     run = result.data[0]
     shown = {
@@ -146,11 +160,12 @@ def test_figures(result: gtau.Result, folder: Path) -> None:
         "panel": result.plot(),
         "friction": result.plot.friction(),
         "of left": result.plot.friction("left", run),
+        "of a log": result.plot.friction("left", str(folder / "check.csv")),
     }
     assert all(isinstance(figure, Figure) for figure in shown.values())
     assert [axes.get_ylabel() for axes in shown["run"].axes] == ["position, rad or m", "current, A"]
     assert len(shown["panel"].axes) == 3  # gains, and torques and residuals of the joint that fits worst
-    assert [len(shown[name].axes) for name in ("friction", "of left")] == [2, 1]
+    assert [len(shown[name].axes) for name in ("friction", "of left", "of a log")] == [2, 1, 1]
     result.save(folder / "saved.json")
     assert len(gtau.load(folder / "saved.json").plot().axes) == 1  # of the gains: there are no runs
     with pytest.raises(gtau.GtauError, match=r"did you mean plot\.torques\('left'\)"):
@@ -239,6 +254,8 @@ def test_the_design_file_that_a_sentence_shows_is_one(tmp_path: Path) -> None:
         ("gtau.identify('five-bar', [run])", "gtau.load_robot('five-bar'), or an experiment file alone."),
         ("gtau.identify([run, run])", "did you mean gtau.identify(gtau.load_robot(...), runs)?"),
         ("gtau.identify(robot, [run], payload={'a': 1.0})", "give their paths, ['empty.csv', 'loaded.csv']."),
+        ("gtau.identify(robot, [run], method='iv', consistent=True)", "use method='didim' or ml with consistent=True."),
+        ("gtau.excite(robot)", "give a design: task, _ = gtau.read_design('design.yaml')."),
         ("gtau.draft('a.csv')", "give ['empty.csv', 'loaded.csv']."),
         ("gtau.check([run, run])", "did you mean gtau.check(gtau.load_robot(...), runs)?"),
         ("gtau.read_design('five-bar')", f"such as {EXAMPLE % 'five-bar'}."),
@@ -254,10 +271,14 @@ def test_the_design_file_that_a_sentence_shows_is_one(tmp_path: Path) -> None:
         ("gtau.identify('five-bar', ['a.csv'])", "did you mean gtau.identify(logs, robot='five-bar')?"),
         ("result.crba(q)", "did you mean result.inertia(q)?"),
         ("result.predict(run).plot()", "did you mean gtau.plot(prediction)?"),
+        ("result.export('c', 'out', samples=3)", "leave out samples=."),
         ("result['left']", "did you mean result.drive_gains['left']?"),
         ("result['fv_left']", "did you mean result.parameters['fv_left']?"),
         ("result['middle']", "there is no estimate 'middle'; result.to_frame() lists all."),
         ("result.drive_gains.left", "did you mean ['left']?"),
+        ("result.drive_gains.lft", "there is no 'lft' here; choose from left, right."),
+        ("result.findings", "did you mean result.notes?"),
+        ("gtau.Watch(result).update('a.csv')", "give a run: gtau.read_run(log, model.recording.signals)."),
         ("gtau.read_run('a.csv', SIGNALS, payload=1.2)", "did you mean payload={'name': 'load', 'mass': 1.2}?"),
         ("gtau.read_run('a.csv', SIGNALS, payload='steel')", "did you mean payload={'name': 'steel', 'mass': ...}?"),
         ("result.torques(q, q, q, payload='steel')", "did you mean payload={'name': 'steel', 'mass': ...}?"),

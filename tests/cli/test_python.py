@@ -143,7 +143,7 @@ def test_compare_takes_a_robot_with_runs_and_priors_are_mappings(folder: Path) -
     same = [gtau.identify(robot, runs, priors=each) for each in (priors, {"m_left": gtau.Prior(value=1.0, std=0.4)})]
     assert same[0].gains == pytest.approx(same[1].gains, rel=1e-12)
     for use in (gtau.identify, gtau.compare):
-        with pytest.raises(gtau.GtauError, match="a int cannot be identified; give the path of an experiment file"):
+        with pytest.raises(gtau.GtauError, match="an object of type int cannot be identified; give the path of an exp"):
             use(3)  # type: ignore[arg-type]
         with pytest.raises(gtau.GtauError, match=r"read each log with gtau\.read_run"):
             use(robot, ["free.csv"])  # type: ignore[list-item]

@@ -394,7 +394,7 @@ def test_logs_of_other_dates_and_copies(model: Result, tmp_path: Path) -> None:
 def test_histories_are_refused_where_they_do_not_suit(model: Result, healthy: list, tmp_path: Path) -> None:
     watched(model, healthy[:2], tmp_path)
     assert Watch(model, tmp_path).settings.baseline == HEALTHY  # it stands in the history
-    with pytest.raises(GtauError, match="begun with --baseline 10, not 12"):
+    with pytest.raises(GtauError, match="begun with baseline 10, not 12"):
         Watch(model, tmp_path, baseline=12)
     with pytest.raises(GtauError, match="baseline: 2 is out of range; write a number of at least 4"):
         Watch(model, baseline=2)

@@ -99,7 +99,7 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
     if not path.exists():
         if robot is None or payload is None:
             raise GtauError(
-                f"{folder} holds no campaign; begin it with --robot and --payload-mass, or put a {DESIGN} of "
+                f"{folder} holds no campaign; begin it with a robot and the mass of a payload, or put a {DESIGN} of "
                 "'gtau excite' there."
             )
         runs = [{"payload": {"name": PAYLOAD, "mass": payload} if loaded else "none"} for loaded in ORDER]

@@ -119,8 +119,8 @@ def describe(source: Source, runs: Sequence[Run] | None = None, options: Options
         raise GtauError(f"runs are given beside {given}; give their robot, {named}, or an experiment file alone.")
     if not isinstance(source, (str, Path, Experiment)):
         raise GtauError(
-            f"a {type(source).__name__} cannot be identified; give the path of an experiment file, or a robot "
-            "(gtau.load_robot) with its runs."
+            f"an object of type {type(source).__name__} cannot be identified; give the path of an experiment file, or "
+            "a robot (gtau.load_robot) with its runs."
         )
     experiment = source if isinstance(source, Experiment) else read_experiment(source)
     robot = load_robot(experiment.robot)

@@ -52,7 +52,7 @@ class Stopped(GtauError):
 
 
 @takes(
-    task=("gtau.read_design(...)[0]", (DesignProblem,)),
+    task=("a design: task, _ = gtau.read_design('design.yaml')", (DesignProblem,)),
     criterion=TEXT,
     starts=WHOLE,
     seed=WHOLE,

@@ -24,7 +24,7 @@ HOME = ("gtau.exports", "gtau.export")  # group of entry points, and the package
 MODELS = 16  # default number of draws written as models
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Exported:
     """Files written, notes on what the target cannot express, and figures by name (``rms_percent_11``).
 
@@ -35,6 +35,10 @@ class Exported:
     notes: tuple[str, ...] = ()
     figures: Mapping[str, float] = field(default_factory=dict)
     lost: str = ""
+
+    def __repr__(self) -> str:
+        notes = "".join(f"; {note}" for note in self.notes)
+        return f"Exported({', '.join(map(str, self.files))}{notes})"
 
 
 @dataclass(frozen=True)

@@ -105,6 +105,10 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
 class FleetTable(FleetGains):
     """What :func:`fleet` finds: every gain of every robot, and how it compares with the others."""
 
+    def __repr__(self) -> str:
+        counts = f"robots: {len(self.robots)}, outliers: {len(self.outliers)}, refused: {len(self.refused)}"
+        return f"FleetTable({counts}; print(table.summary()) shows all)"
+
     def summary(self) -> str:
         """Summarise the fleet as text, as ``gtau fleet`` prints it."""
         from gtau.fleets.table import fleet_page

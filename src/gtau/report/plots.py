@@ -39,7 +39,7 @@ from gtau.report.torques import residual_panels, torques_chart
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
-from gtau.uses.prediction import Prediction, predict
+from gtau.uses.prediction import Prediction, predict, suited
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -240,7 +240,8 @@ class Plots:
         joints = self.result.robot.actuated
         if joint is not None and joint not in joints:
             raise GtauError(f"there is no joint '{joint}'; choose from {', '.join(joints)}.")
-        chosen = run if isinstance(run, Run) else self._run(run)
+        named = run is None or (isinstance(run, str) and not Path(run).is_file())
+        chosen = self._run(run) if named else suited(self.result, run)  # type: ignore[arg-type]
         prediction = predict(self.result, chosen)
         return RunEvidence(chosen, True, prediction), prediction, joints if joint is None else (joint,)
 

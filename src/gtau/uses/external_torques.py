@@ -230,7 +230,7 @@ class External:
     share: float | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TorquesAlongLog:
     """Table with one row per sample, and a summary per joint.
 
@@ -243,6 +243,10 @@ class TorquesAlongLog:
     errors: tuple[TorqueError, ...]
     wrench: WrenchAlongLog | None = None
     notes: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        largest = (f"{joint.joint} {joint.largest:.3g} {joint.unit} at {joint.time:.4g} s" for joint in self.joints)
+        return f"TorquesAlongLog({len(self.table)} samples; largest: {', '.join(largest)}; table has all)"
 
 
 def torques_along_log(

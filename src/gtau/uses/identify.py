@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -233,13 +233,15 @@ def _torque_requirement(limit: float, errors: Iterable[TorqueError], run: str = 
 KINDS = ("position", "current", "torque", "time")
 HERE = Path()
 DRAFTED = Path("the draft")
-ARGUMENTS = {
-    r"--(position|current|torque|time)\b": r"gtau.draft(..., columns={'\1': ...})",
+ARGUMENTS: dict[str, str | Callable[[re.Match[str]], str]] = {
+    r"--[\w-]+ \(in Python ([^)]*)\)": r"\1",
+    r"--(position|current|torque|time)\b(?: COLUMNS?)?": r"gtau.draft(..., columns={'\1': ...})",
     r"--kind (\w+)": r"gtau.draft(..., kind='\1')",
     r"--payload (\S.*?)=([\d.]+|KG)": r"payload={'\1': \2}",
-    r"--(\w+) ([A-Z]+)\b": r"\1='\2'",
-    r"--(\w+)": r"\1=",
-}  # by the options that sentences on drafts name
+    r"--(method \w+|\w+ [A-Z]+(?:\.yaml)?)\b": lambda option: "{}='{}'".format(*option[1].split()),
+    r"--(as-paper|consistent)\b": lambda option: f"{option[1].replace('-', '_')}=True",
+    r"--([a-z][\w-]*)(?: (?=\d))?": lambda option: f"{option[1].replace('-', '_')}=",
+}  # by the options that sentences name
 
 
 def drafted(
@@ -343,10 +345,8 @@ def draft(
             raise GtauError(f"'columns' has the key '{signal}'; choose from {', '.join(KINDS)}.")
     paths = [Path(log) for log in logs]
     name = None if robot is None else str(robot)
-    try:
+    with python_words():
         made = drafted(paths, name, Stated(payload or {}, kind, preset, columns))  # type: ignore[arg-type]
-    except GtauError as error:
-        raise type(error)(in_python(error.sentence), error.source) from None
     if made.urdf is not None:
         raise GtauError(f"{paths[0]} holds its robot, which is written beside a draft; run 'gtau init {paths[0]} ...'.")
     experiment = validate(Experiment, Document(DRAFTED, draft_text(made, HERE)), context=(HERE, HERE))
@@ -373,7 +373,17 @@ def described(
 
 
 def in_python(sentence: str) -> str:
-    """Write the options of the command line that a sentence names as arguments in Python."""
+    """Write the options of the command line that a sentence names as arguments in Python, except in its commands."""
+    parts = re.split("('gtau [^']*')", sentence)
     for option, argument in ARGUMENTS.items():
-        sentence = re.sub(option, argument, sentence)
-    return sentence
+        parts[::2] = [re.sub(option, argument, part) for part in parts[::2]]
+    return "".join(parts)
+
+
+@contextmanager
+def python_words() -> Iterator[None]:
+    """Let a public function that no command calls name arguments in its refusals, not options."""
+    try:
+        yield
+    except GtauError as error:
+        raise type(error)(in_python(error.sentence), error.source) from None

@@ -160,7 +160,7 @@ class History:
             self._connect(f"{self.path.absolute().as_uri()}?mode=rw")
             if not self.path.stat().st_size or self._one("PRAGMA application_id") != APPLICATION:
                 raise GtauError(
-                    f"{self.path} is not a history of gtau; restore it from a backup, or give another --out."
+                    f"{self.path} is not a history of gtau; restore it from a backup, or give another folder."
                 )
             self._database.executescript("PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL")
             document = self._document(self._one("SELECT document FROM settings"))

@@ -89,19 +89,23 @@ class Watch:
         known = self.history.settings
         if known.model != begun.model:
             raise GtauError(
-                f"{folder} holds the history of another model, of robot '{known.robot}'; give that, or another --out."
+                f"{folder} holds the history of another model, of robot '{known.robot}'; give that, or another folder."
             )
         for name, value in given.items():
             if (before := getattr(known, name)) != value:
                 raise GtauError(
-                    f"{folder} was begun with --{name.replace('_', '-')} {before}, not {value}: another value "
-                    "would change what its alarms mean; leave the option out, or give another --out."
+                    f"{folder} was begun with {name.replace('_', ' ')} {before}, not {value}: another value would "
+                    "change what its alarms mean; leave it out, or give another folder."
                 )
         if tolerances is not None:
             with self.history.writing():
                 self.history.save(known.model_copy(update={"tolerances": tolerances}))
         self.settings = self.history.settings
         self._read()
+
+    def __repr__(self) -> str:
+        alarm = "no alarm" if self.alarm is None else f"alarm since {self.alarm.since}"
+        return f"Watch({self.model.robot.name!r}: {self.phase}, logs: {self.count}, {alarm})"
 
     def _read(self) -> None:
         """Read the history, to which other programs may have added."""
@@ -118,6 +122,7 @@ class Watch:
         """``baseline`` until the baseline is complete, then ``watching``."""
         return "baseline" if self.count < self.settings.baseline else "watching"
 
+    @takes(run=("a run: gtau.read_run(log, model.recording.signals)", (Run,)), digest=TEXT, date=TEXT)
     @single_threaded_blas()
     def update(self, run: Run, digest: str = "", date: str = "") -> Status:
         """Add a finished log unless its samples are in the history; return the state after it.

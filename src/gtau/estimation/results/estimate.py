@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from numbers import Integral
+from operator import ge, gt, le, lt
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
@@ -22,6 +23,10 @@ from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.storage import rows_at
 
 
+def _by_value(compare: Callable[[float, float], bool]) -> Callable[[Estimate, Any], bool]:
+    return lambda self, other: compare(float(self), float(other))
+
+
 @dataclass(frozen=True, repr=False)
 class Estimate:
     """A number with its unit and standard deviation.
@@ -30,7 +35,8 @@ class Estimate:
     standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
     says whether to believe it. ``freedom`` are the degrees of freedom behind ``std``, None for very many.
     ``model_std`` is the part of ``std`` that comes from what the model may lack; the rest is random. ``essential``
-    says whether the reduction (paper, section 5.2) keeps a base parameter; None for other estimates.
+    says whether the reduction (paper, section 5.2) keeps a base parameter; None for other estimates. Of the 95 %
+    interval, ``half_interval()`` is half in ``unit``, ``half_width`` half in per cent of the value.
     """
 
     name: str
@@ -50,7 +56,7 @@ class Estimate:
             return "not identifiable"
         half = self.half_interval()
         shown = f"{to_width(self.value, half)} +- {to_width(half, half)}" if half else f"{self.value:.5g}"
-        return f"{shown} {self.unit}"
+        return shown if self.unit == "1" else f"{shown} {self.unit}"
 
     def __float__(self) -> float:
         """Return the value; raises GtauError where it is not identifiable."""
@@ -73,6 +79,12 @@ class Estimate:
     def __rtruediv__(self, dividend: Any) -> Any:
         """Divide by the value, without its uncertainty."""
         return dividend / float(self)
+
+    def __round__(self, digits: int | None = None) -> float:
+        """Round the value."""
+        return round(float(self), digits)
+
+    __lt__, __le__, __gt__, __ge__ = map(_by_value, (lt, le, gt, ge))
 
     def __format__(self, spec: str) -> str:
         """Format the value, or without a ``spec`` print it with its interval and unit."""
@@ -141,7 +153,9 @@ class Named(dict[Key, Estimate], Generic[Key]):
     def __getattr__(self, name: str) -> Any:
         if name in self:
             raise OtherSpelling(f"names are written in brackets; did you mean [{name!r}]?")
-        return object.__getattribute__(self, name)
+        if name.startswith("_"):
+            return object.__getattribute__(self, name)
+        raise OtherSpelling(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
 
 @dataclass(frozen=True)
@@ -181,7 +195,7 @@ class BandError:
     signal: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TorqueError:
     """Torque error of a joint: rms of the error and of the signal ``v g_tau``, N m or N.
 
@@ -201,6 +215,10 @@ class TorqueError:
     rms_raw: float | None = None
     signal_raw: float | None = None
     bands: tuple[BandError, ...] = ()
+
+    def __repr__(self) -> str:
+        raw = "" if self.relative_raw is None else f", raw {self.relative_raw:.3g} %"
+        return f"TorqueError({self.joint!r}: {self.relative:.3g} % of {self.signal:.3g} {self.unit}{raw})"
 
     @property
     def relative(self) -> float:

@@ -63,7 +63,7 @@ class Weighed:
     by_model: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PayloadBody:
     """Mass, centre of mass and inertia about it of a payload, in axes of ``frame``.
 
@@ -80,6 +80,10 @@ class PayloadBody:
     rigid: RigidBody | None
     named: bool = True
     apart: float = 0.0
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{name} {estimate}" for name, estimate in self.parameters.items())
+        return f"PayloadBody({self.name!r} in {self.frame}: {found})"
 
     @property
     def doubt(self) -> str:
