@@ -93,6 +93,12 @@ def test_the_command_writes_tables(result: gtau.Result, tmp_path: Path) -> None:
     document = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
     assert document["joints"][0]["joint"] == "left"
     assert document["joints"][0]["largest"] > 1.8
+    assert not document["notes"]
+    named = str(write_log(tmp_path / "check_1200g.csv", pushed(3.0, 4.0, 2.0)))
+    done = CliRunner().invoke(app, [*command[:2], named, *command[3:], "--observer", "5"])
+    shown = " ".join(done.output.split())
+    assert "largest torques by the observer, N m or N: left 2" in shown
+    assert "the name of the log says 1.2 kg, but nothing is carried: --carries steel?" in shown
 
 
 def test_what_cannot_be_used_is_refused(result: gtau.Result, tmp_path: Path) -> None:

@@ -458,6 +458,8 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "fleet").exists()
     first = call(*map(str, [*logs[5::-1], empty]), "--json", "--baseline", "4")  # in any order
     assert first.exit_code == 3, first.output
+    alone = CliRunner().invoke(app, ["watch", str(tmp_path / "fleet" / "SN1"), "--json"])
+    assert [line["robot"] for line in json.loads(alone.stdout)] == ["SN1"]
     lines = [json.loads(line) for line in first.stdout.splitlines()]
     assert [line["log"][-2:] for line in lines] == ["01", "02", "03", "3b", "04", "05", "06"]
     assert "empty" in lines.pop(3)["skipped"]

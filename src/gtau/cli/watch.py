@@ -192,10 +192,12 @@ def _fleet(folder: Path, as_json: bool) -> None:
     """Write one page for all histories in a folder."""
     from gtau.report.render.html import write_report
     from gtau.report.watch import STATES, fleet_lines, fleet_page
+    from gtau.watch.history import HISTORY
 
     lines = fleet_lines(folder)
     page = fleet_page(lines)
-    answer(as_json, lambda: lines, lambda: page, [write_report(page, folder, seconds())])
+    alone = (folder / HISTORY).exists()  # beside its own report
+    answer(as_json, lambda: lines, lambda: page, [] if alone else [write_report(page, folder, seconds())])
     if any(line["state"] in STATES[:2] for line in lines):
         raise typer.Exit(3)
 

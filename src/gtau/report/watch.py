@@ -227,9 +227,9 @@ def _history(watch: Watch, k: int) -> Panel:
 
 
 def fleet_lines(folder: Path) -> list[dict[str, str]]:
-    """Summarise the history in each subfolder, named after its robot; raises GtauError."""
+    """Summarise the history in a folder, or in each subfolder, named after its robot; raises GtauError."""
     lines = []
-    for robot in in_order(path.parent for path in folder.glob(f"*/{HISTORY}")):
+    for robot in in_order(path.parent for path in (*folder.glob(HISTORY), *folder.glob(f"*/{HISTORY}"))):
         history = History(robot)
         alarm, events, settings = history.alarm, history.events, history.settings
         what = ", ".join(event.subject for event in events if event.kind == "refused")

@@ -248,6 +248,13 @@ class TorquesAlongLog:
         largest = (f"{joint.joint} {joint.largest:.3g} {joint.unit} at {joint.time:.4g} s" for joint in self.joints)
         return f"TorquesAlongLog({len(self.table)} samples; largest: {', '.join(largest)}; table has all)"
 
+    @property
+    def observed(self) -> dict[str, tuple[float, float]]:
+        """Largest torques by the observer, N m or N, and their times, s, by joint; empty without an observer."""
+        columns = self.table.select("^observed_.*$").to_dict(as_series=False)
+        time = self.table["t"].to_numpy()
+        return {name.removeprefix("observed_"): _largest(np.array(of), time) for name, of in columns.items()}
+
 
 def torques_along_log(
     result: IdentifiedModel,
