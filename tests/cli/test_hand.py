@@ -276,6 +276,8 @@ def test_the_design_file_that_a_sentence_shows_is_one(tmp_path: Path) -> None:
         ("result['fv_left']", "did you mean result.parameters['fv_left']?"),
         ("result['middle']", "there is no estimate 'middle'; result.to_frame() lists all."),
         ("result.drive_gains.left", "did you mean ['left']?"),
+        ("gtau.Payload(name='steel', mass=1.2, x=1)", "choose from center, mass, mass_std, name, parameters."),
+        ("gtau.Payload('steel', 1.2)", "write Payload(name=..., mass=..., mass_std=..., parameters=..., center=...)."),
         ("result.drive_gains.lft", "there is no 'lft' here; choose from left, right."),
         ("result.findings", "did you mean result.notes?"),
         ("gtau.Watch(result).update('a.csv')", "give a run: gtau.read_run(log, model.recording.signals)."),
