@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 from warnings import warn
 
 import numpy as np
@@ -203,10 +203,7 @@ class Result(IdentifiedModel):
         return load(path)
 
 
-Noted = TypeVar("Noted", Prediction, "TorquesAlongLog")
-
-
-def _warned(made: Noted) -> Noted:
+def _warned(made: Any) -> Any:
     """Warn the caller of a public method of what is assumed."""
     for note in made.notes:
         warn(f"{note}.", stacklevel=3)

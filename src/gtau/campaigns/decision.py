@@ -202,13 +202,10 @@ def _stalled(rounds: Sequence[Round], now: float) -> bool:
     One may fail by chance: a five-bar in MuJoCo went from +-8 to 6, 3 and 2.5 %, another from +-14 to 8, 8 and less.
     """
     both = all(round_.motion["purpose"] == MODEL for round_ in rounds[-2:])
-    widest = [width for width in (*map(_widest, rounds[-3:-1]), now) if width is not None]
+    decided = [round_.decision["gains"].values() for round_ in rounds[-3:-1] if round_.decision]
+    halves = [[gain["half_width"] for gain in gains] for gains in decided]
+    widest = [*(max(of) for of in halves if of and None not in of), now]
     return both and len(widest) == 3 and all(after > WORTH * before for before, after in pairwise(widest))
-
-
-def _widest(round_: Round) -> float | None:
-    halves = [gain["half_width"] for gain in (round_.decision or {"gains": {}})["gains"].values()]
-    return max(halves) if halves and None not in halves else None
 
 
 def _cause(result: IdentifiedModel, joint: str) -> tuple[str, ...]:

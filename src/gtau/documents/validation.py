@@ -18,7 +18,23 @@ from gtau.documents.yaml_document import Document, KeyPath
 from gtau.errors import GtauError, meant
 
 if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as Group
     from pydantic_core import ErrorDetails
+else:
+
+    class Group(type(BaseModel)):
+        """Refuse values given in Python in the sentences of files."""
+
+        def __call__(cls, *args: Any, **values: Any) -> Any:
+            """Make an instance of named values; raises GtauError."""
+            if args:
+                keys = ", ".join(f"{key}=..." for key in cls.model_fields)
+                raise GtauError(f"the values of a {cls.__name__} are named; write {cls.__name__}({keys}).")
+            try:
+                return super().__call__(**values)
+            except ValidationError:
+                return validate(cls, Document(cls.__name__, values))
+
 
 Model = TypeVar("Model", bound=BaseModel)
 P = ParamSpec("P")
@@ -42,20 +58,7 @@ def text_or_group(value: Any) -> str:
     return "text" if isinstance(value, str) else "group"
 
 
-class _Group(type(BaseModel)):  # type: ignore[misc]
-    """Refuse values given in Python in the sentences of files."""
-
-    def __call__(cls, *args: Any, **values: Any) -> Any:
-        if args:
-            keys = ", ".join(f"{key}=..." for key in cls.model_fields)
-            raise GtauError(f"the values of a {cls.__name__} are named; write {cls.__name__}({keys}).")
-        try:
-            return super().__call__(**values)
-        except ValidationError:
-            return validate(cls, Document(cls.__name__, values))
-
-
-class Keys(BaseModel, metaclass=_Group):
+class Keys(BaseModel, metaclass=Group):
     """A group of a file; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -111,21 +111,17 @@ def refuse_unnamed(kind: str, frame: str, links: Sequence[str]) -> None:
 
 
 def _ur(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write a line of URScript: kg, m, and ``[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]`` in kg m2, in axes of the flange.
-
-    https://www.universal-robots.com/manuals/EN/HTML/SW10_6/Content/prod-scriptmanual/G5/set_target_payload.htm
-    """
+    """Write a line of URScript: kg, m, and ``[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]`` in kg m2, in axes of the flange."""
+    # https://www.universal-robots.com/manuals/EN/HTML/SW10_6/Content/prod-scriptmanual/G5/set_target_payload.htm
     entries = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     line = f"set_target_payload({_number(body.mass)}, [{_listed(body.center)}], [{_listed(entries)}])"
     return {f"{name}.script": f"# {head}\n{line}\n"}
 
 
 def _franka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write the configuration of an end effector, and the fields of the request of a load; matrices by columns.
-
-    https://download.franka.de/ride-cli-doc-v1.1.1/ ("End effector commissioning")
-    https://docs.ros.org/en/humble/p/franka_msgs/srv/SetLoad.html
-    """
+    """Write the configuration of an end effector, and the fields of the request of a load; matrices by columns."""
+    # https://download.franka.de/ride-cli-doc-v1.1.1/ ("End effector commissioning")
+    # https://docs.ros.org/en/humble/p/franka_msgs/srv/SetLoad.html
     center, by_columns = body.center.tolist(), body.inertia.flatten(order="F").tolist()
     effector = {
         "id": name.replace("_", "-"),
@@ -141,10 +137,8 @@ def _franka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
 
 
 def _kuka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write a line of ``$config.dat``: kg; mm; degrees about Z, Y', X'' to the principal axes; their moments, kg m2.
-
-    https://infosys.beckhoff.com/content/1033/tf5120/13081587595.html (KRC_WriteLoadData)
-    """
+    """Write a line of ``$config.dat``: kg; mm; degrees about Z, Y', X'' to the principal axes; their moments, kg m2."""
+    # https://infosys.beckhoff.com/content/1033/tf5120/13081587595.html (KRC_WriteLoadData)
     moments, axes = body.principal
     roll, pitch, yaw = np.round(np.degrees(angles_of(axes)), 6)
     frame = _fields("XYZABC", [*(1e3 * body.center), yaw, pitch, roll])
@@ -153,10 +147,8 @@ def _kuka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
 
 
 def _abb(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write a module with a ``loaddata``: kg; mm; principal axes as a quaternion (scalar first), moments in kg m2.
-
-    https://developercenter.robotstudio.com/api/robotstudio/api/ABB.Robotics.RobotStudio.Stations.RsLoadData.html
-    """
+    """Write a module with a ``loaddata``: kg; mm; principal axes as a quaternion (scalar first), moments in kg m2."""
+    # https://developercenter.robotstudio.com/api/robotstudio/api/ABB.Robotics.RobotStudio.Stations.RsLoadData.html
     from scipy.spatial.transform import Rotation
 
     moments, axes = body.principal
@@ -167,10 +159,8 @@ def _abb(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
 
 
 def _ros(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write a geometry_msgs/Inertia: kg, m, and entries of the tensor about the centre of mass in kg m2.
-
-    https://docs.ros.org/en/humble/p/geometry_msgs/msg/Inertia.html
-    """
+    """Write a geometry_msgs/Inertia: kg, m, and entries of the tensor about the centre of mass in kg m2."""
+    # https://docs.ros.org/en/humble/p/geometry_msgs/msg/Inertia.html
     entries = dict(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), body.inertia[np.triu_indices(3)], strict=True))
     message = {"m": body.mass, "com": dict(zip("xyz", map(float, body.center), strict=True))}
     message |= {key: float(value) for key, value in entries.items()}

@@ -29,7 +29,7 @@ def _by_value(compare: Callable[[float, float], bool]) -> Callable[[Estimate, An
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """A number with its unit and standard deviation.
+    """A number with its unit and standard deviation; in arithmetic and comparisons its value alone, as ``float`` gives.
 
     ``value`` is None where it is not identifiable, ``std`` None where the value is known. ``between_run_std`` is the
     standard deviation between runs of a parameter that may drift; its value is then the mean. ``verdict``
@@ -51,7 +51,6 @@ class Estimate:
     essential: bool | None = None
 
     def __str__(self) -> str:
-        """Print value, half the 95 % interval, and unit."""
         if self.value is None:
             return "not identifiable"
         half = self.half_interval()
@@ -59,7 +58,6 @@ class Estimate:
         return shown if self.unit == "1" else f"{shown} {self.unit}"
 
     def __float__(self) -> float:
-        """Return the value; raises GtauError where it is not identifiable."""
         if self.value is None:
             raise GtauError(f"'{self.name}' is not identifiable, so it has no value: {self.verdict.why}.")
         return self.value
@@ -67,27 +65,22 @@ class Estimate:
     __array_ufunc__ = None  # an array times an estimate is __rmul__
 
     def __mul__(self, factor: Any) -> Any:
-        """Multiply the value, without its uncertainty."""
         return float(self) * factor
 
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: Any) -> Any:
-        """Divide the value, without its uncertainty."""
         return float(self) / divisor
 
     def __rtruediv__(self, dividend: Any) -> Any:
-        """Divide by the value, without its uncertainty."""
         return dividend / float(self)
 
     def __round__(self, digits: int | None = None) -> float:
-        """Round the value."""
         return round(float(self), digits)
 
     __lt__, __le__, __gt__, __ge__ = map(_by_value, (lt, le, gt, ge))
 
     def __format__(self, spec: str) -> str:
-        """Format the value, or without a ``spec`` print it with its interval and unit."""
         return format(float(self), spec) if spec else str(self)
 
     def __repr__(self) -> str:

@@ -137,10 +137,6 @@ def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
     return named
 
 
-def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
-    return {parameter_of(name, regrouped=bool(estimate.regroups)): estimate for name, estimate in estimates.items()}
-
-
 def _effect(effect: EstimatedEffect) -> dict[str, Any]:
     return asdict(effect) | {"subject": effect.subject, "cause": finding_document(effect.cause)}
 
@@ -162,7 +158,9 @@ _Joint = Annotated[
     Estimate, _entry(_estimate_fields), PlainSerializer(lambda estimate: _estimate(estimate, key="joint"))
 ]
 _ByName = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
-_ByParameter = Annotated[_ByName, AfterValidator(_by_parameter)]
+_ByParameter = Annotated[
+    _ByName, AfterValidator(lambda named: {parameter_of(name, bool(one.regroups)): one for name, one in named.items()})
+]
 _TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relative_raw")]
 _Recording = Annotated[Recording, PlainSerializer(lambda kept: kept.model_dump(mode="json", exclude_defaults=True))]
 NoteEntry = Annotated[Finding, _entry(read_note), PlainSerializer(note_document)]
