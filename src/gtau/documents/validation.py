@@ -170,19 +170,12 @@ BOUNDS = {
     "greater_than_equal": ("of at least", "ge"),
     "less_than_equal": ("of at most", "le"),
 }
+KINDS = {type(None): "null", list: "a list", dict: "a group of keys"}
 
 
 def _sentence(error: ErrorDetails) -> str:
     value, context = error["input"], error.get("ctx", {})
-    match value:
-        case None:
-            written = "null"
-        case list():
-            written = "a list"
-        case dict():
-            written = "a group of keys"
-        case _:
-            written = f"'{shorten(str(value), 60)}'"
+    written = next((words for kind, words in KINDS.items() if isinstance(value, kind)), f"'{shorten(str(value), 60)}'")
     match error["type"]:
         case "value_error":
             return str(context["error"])

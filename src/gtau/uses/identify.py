@@ -214,7 +214,8 @@ def _requirements(result: IdentifiedModel, experiment: Experiment, validation: V
             yield _torque_requirement(require.torque_error, (), note.source or "validation")
         for run in runs:
             try:
-                errors = prediction.validate(result, run)
+                predicted = prediction.predict(result, run)
+                errors = prediction.torque_errors(predicted, result.robot, result.preparation.bandwidth)
             except GtauError:
                 errors = ()
             yield _torque_requirement(require.torque_error, errors, run.name)

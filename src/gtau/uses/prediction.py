@@ -333,11 +333,6 @@ def torques(
     return torques_along(result, model.motion(q, qd, qdd), chi).T
 
 
-def validate(result: IdentifiedModel, run: Run | str | Path) -> tuple[TorqueError, ...]:
-    """Compute torque errors of each joint on a run; see :meth:`gtau.Result.validate`."""
-    return torque_errors(predict(result, run), result.robot, result.preparation.bandwidth)
-
-
 def require_all_parameters(result: IdentifiedModel) -> None:
     """Refuse a model that lacks a base parameter; raises GtauError."""
     if missing := [name for name in result.base.names if name not in result.parameters]:
