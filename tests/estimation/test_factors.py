@@ -288,9 +288,9 @@ def test_the_paper_s_way(runs: list[Run]) -> None:
 
 
 def test_without_scale_the_gains_are_refused(runs: list[Run], data: Dataset) -> None:
-    with pytest.raises(GtauError, match=r"needs a scale.*payload of known mass.*--method wls with prior_gains"):
+    with pytest.raises(GtauError, match=r"needs a scale.*payload of known mass.*method='wls' with prior_gains"):
         identify(FIVE_BAR, runs[:1])
-    with pytest.raises(GtauError, match=r"two different loads.*--method wls with prior_gains"):
+    with pytest.raises(GtauError, match=r"two different loads.*method='wls' with prior_gains"):
         identify(FIVE_BAR, runs[1:])
     unknown = Payload(name="steel")
     with pytest.raises(GtauError, match="needs a scale"):

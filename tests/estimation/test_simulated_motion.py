@@ -225,7 +225,7 @@ def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares
 def test_refusals(clean: list[Run]) -> None:
     with pytest.raises(GtauError, match="the paper has no method 'iv'"):
         identify(FIVE_BAR, clean, method="iv", as_paper=True)
-    with pytest.raises(GtauError, match="use --method didim or ml"):
+    with pytest.raises(GtauError, match="use method='didim' or ml"):
         identify(FIVE_BAR, clean, method="iv", consistent=True)
 
 

@@ -47,7 +47,7 @@ def test_a_force_sensor_between_flange_and_tool_gives_the_scale(tmp_path: Path) 
     path = experiment(tmp_path, "", bare, f"  wrenches: [{AT_SOLE}]")
     pl.DataFrame(carrying.columns).write_csv(tmp_path / "tool.csv")
     path.write_text(path.read_text().replace("runs: [", "runs: [{log: tool.csv}, "))
-    with pytest.raises(GtauError, match="measured wrenches act on 3 too; use --method ml"):
+    with pytest.raises(GtauError, match="measured wrenches act on 3 too; use method='ml'"):
         identify(path, method="didim")
     result = identify(path)
     z = [(result.drive_gains[joint].value - gain) / result.drive_gains[joint].std for joint, gain in GAINS.items()]

@@ -375,7 +375,7 @@ def described(
 
 def in_python(sentence: str) -> str:
     """Write the options of the command line that a sentence names as arguments in Python, except in its commands."""
-    parts = re.split("('gtau [^']*')", sentence)
+    parts = re.split(r"('gtau [^']*'|gtau \w+ --\w+)", sentence)
     for option, argument in ARGUMENTS.items():
         parts[::2] = [re.sub(option, argument, part) for part in parts[::2]]
     return "".join(parts)
