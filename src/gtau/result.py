@@ -125,7 +125,6 @@ class Result(IdentifiedModel):
         """
         return _warned(predict(self, run))
 
-    @python_words()
     def external_torques(
         self,
         run: Run,
@@ -142,7 +141,8 @@ class Result(IdentifiedModel):
         """
         from gtau.uses.external_torques import torques_along_log
 
-        at = None if frame is None else frame_on(self.robot.tool, frame, robot)
+        with python_words():
+            at = None if frame is None else frame_on(self.robot.tool, frame, robot)
         return _warned(torques_along_log(self, run, at, force_only, observer))
 
     def validate(self, run: Run | str | Path) -> tuple[TorqueError, ...]:

@@ -173,6 +173,9 @@ def test_what_is_assumed_of_a_payload_is_said(result: gtau.Result, folder: Path,
     other = gtau.read_run(named, result.recording.signals, {"name": "stel", "mass": 1.2})
     with pytest.warns(UserWarning, match=r"'stel' is not a payload of the model \('steel'\), so .* a point mass"):
         prediction = result.predict(other)
+    with pytest.warns(UserWarning, match="'stel' is not a payload of the model") as warned:
+        result.external_torques(other)
+    assert Path(warned[0].filename).name == Path(__file__).name
     assert "'stel' is not a payload of the model" in repr(prediction)
     with pytest.raises(gtau.GtauError, match=r"may mean a payload of 1\.5 or 5 kg; give a run with it"):
         result.predict("loaded_1_5kg.csv")
