@@ -170,7 +170,7 @@ BOUNDS = {
     "greater_than_equal": ("of at least", "ge"),
     "less_than_equal": ("of at most", "le"),
 }
-KINDS = {type(None): "null", list: "a list", dict: "a group of keys"}
+KINDS: dict[type, str] = {type(None): "null", list: "a list", dict: "a group of keys"}
 
 
 def _sentence(error: ErrorDetails) -> str:
