@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from warnings import warn
@@ -24,7 +25,7 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identified, identify as uses
-from gtau.uses.identify import described, python_words
+from gtau.uses.identify import described, in_python, python_words
 from gtau.uses.prediction import Prediction, predict, torque_errors, torques
 
 if TYPE_CHECKING:
@@ -360,7 +361,8 @@ def check(
     subject = described(source, runs, robot, payload, "check")
     checked = check_logs.check(subject, runs, options, progress or silent)
     guesses = subject.guesses if isinstance(subject, Experiment) else ()
-    return ExperimentCheck(**{**vars(checked), "notes": (*checked.notes, *guesses)})
+    notes = [replace(note, text=in_python(note.text), advice=in_python(note.advice)) for note in checked.notes]
+    return ExperimentCheck(**{**vars(checked), "notes": (*notes, *guesses)})
 
 
 @python_words()

@@ -132,7 +132,7 @@ def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Pa
     path.write_text(path.read_text() + "prior_gains: {left: 2.5, right: 4}\n")
     (same,) = check(path).notes
     assert same == note
-    assert "use --method wls with prior_gains" in same.advice
+    assert "use method='wls' with prior_gains" in same.advice
     assert check(path, method="wls").notes == ()
     (unknown,) = check(damaged(folder, "unknown", ", mass: 1.2", "")).notes
     assert unknown.severity == Grade.INFORMATION
