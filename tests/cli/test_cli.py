@@ -95,7 +95,6 @@ def test_identify_writes_and_prints(here: Path) -> None:
         "model.json",
         "report.html",
         "summary.txt",
-        "singularities.parquet",
     }
     assert (here / "deep" / "out" / "summary.txt").read_text() in printed
     assert "Drive gains" in printed

@@ -231,7 +231,7 @@ def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, mon
     model = json.loads(run("identify", "experiment.yaml", "--out", "result", "--consistent", "--json"))
     assert model == json.loads(Path("result/model.json").read_text())
     written = {path.name for path in Path("result").iterdir()}
-    assert written == {"report.html", "model.json", "summary.txt", "singularities.parquet"}
+    assert written == {"report.html", "model.json", "summary.txt"}
     documented("model.json", model)
     estimate = {key: each for key, each in model["drive_gains"][0].items() if key not in ("joint", "scale")}
     documented("An estimate", estimate)

@@ -108,14 +108,12 @@ def identify(
 
 def _write(result: IdentifiedModel, out: Path) -> list[Path]:
     from gtau.estimation.results.conclusions import torque_scale_text, torque_scales
-    from gtau.estimation.results.estimate import write_distances
     from gtau.estimation.results.model_file import save
     from gtau.report.identification import text
 
-    written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
+    written = [folder_of(out) / name for name in ("model.json", "summary.txt")]
     save(result, written[0])
     write_atomically(written[1], text(result, verbose=True) + "\n")
-    write_distances(zip(result.runs, result.distances, strict=True), written[2])
     if torque_scales(result) and result.believable:
         written.append(out / "torque_scale.yaml")
         write_atomically(written[-1], torque_scale_text(result))

@@ -148,9 +148,7 @@ def _page(out: Path, open_: list[str]) -> str:
 def check(
     sources: Sources,
     stated: LogOptions,
-    out: Annotated[
-        Path | None, option("DIR", "Folder for report.html and distances to singularities. Default: no files.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for report.html. Default: no files.")] = None,
     method: Annotated[str | None, option(METHOD, "Estimator that will identify.")] = None,
     json_: Json = False,
 ) -> None:
@@ -163,7 +161,7 @@ def check(
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
         from gtau.estimation.experiment_runs import Options
-        from gtau.report.check import check_document, check_page, write_check
+        from gtau.report.check import check_document, check_page
         from gtau.report.evidence import inputs_of
         from gtau.report.render.html import write_report
 
@@ -172,7 +170,6 @@ def check(
     page, written = check_page(checked), [experiment] if guessed else []
     if out is not None:
         written.append(write_report(page, folder_of(out), seconds(), inputs_of(experiment)))
-        written += write_check(checked, out)
     answer(json_, lambda: check_document(checked), lambda: page, written)
     if code := checked.worst.exit_code:
         raise typer.Exit(code)

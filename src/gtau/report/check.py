@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 from gtau.estimation.check_logs import WEIGHING, CheckedExperiment, LogCheck
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
-from gtau.estimation.results.estimate import write_distances
 from gtau.findings import Finding, Grade, by_severity, counted, note_document
 from gtau.report import motion
 from gtau.report.chart import Chart
@@ -174,14 +172,6 @@ def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     panels = motion.joint_panels(robot, joints, log.distances["time"] - start, log.position, "position", 2.1)
     distances = motion.distances_panels([(log.run.name, start, log.distances)])
     return Chart((*panels, *(replace(panel, title="") for panel in distances)), log.run.name, live=True)
-
-
-def write_check(checked: CheckedExperiment, folder: Path) -> list[Path]:
-    """Write the distances of all logs to singular poses as ``singularities.parquet``; raises GtauError."""
-    path = folder / "singularities.parquet"
-    if checked.logs:
-        write_distances(((log.run.name, log.distances) for log in checked.logs), path)
-    return [path] if checked.logs else []
 
 
 def unique_names(names: Sequence[str]) -> list[str]:

@@ -147,9 +147,7 @@ def identify_subject(subject: Subject, progress: Progress = silent) -> Identifie
 
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
 STEP = np.sqrt(2.0)  # between the cut-offs tried
-# Share by which position noise may raise the error. The error hardly depends on a cut-off below the noise (the
-# Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions may be faster than the logs.
-RAISED = 0.01
+RAISED = 0.01  # share by which noise may raise the error: the highest such cut-off, as other motions may be faster
 NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
 
 

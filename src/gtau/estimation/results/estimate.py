@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from numbers import Integral
 from operator import ge, gt, le, lt
-from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from gtau.documents.files import write_table
 from gtau.errors import GtauError, OtherSpelling, UnknownName
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.findings import Finding, to_width
@@ -281,11 +279,3 @@ def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarra
             pose = {joint: float(value) for joint, value in zip(prepared.run.joints, q, strict=True)}
             since_start = float(prepared.time[at] - prepared.run.time[0])
             yield NearestPose(prepared.run.name, kind, float(distances[k]), since_start, pose)
-
-
-def write_distances(runs: Iterable[tuple[str, np.ndarray]], path: str | Path) -> None:
-    """Write a table ``run, time, type_1, type_2`` as a Parquet file, atomically; NaN is written as null."""
-    import polars
-
-    tables = [polars.DataFrame(along).select(polars.lit(run).alias("run"), polars.all()) for run, along in runs]
-    write_table(polars.concat(tables).fill_nan(None), path)
