@@ -77,7 +77,7 @@ def symmetric_order(robot: Robot, names: Sequence[Parameter]) -> list[Parameter]
     for alike in sorted(joints, key=lambda alike: alike[0] not in towards_motors):
         order += [Parameter(kind, joint) for kind in kinds for joint in alike]
     order += [Parameter(kind, spring.name) for spring in robot.springs for kind in spring.parameters]
-    if robot.couplings:  # a joint that a gear moves has the friction of its motor, not the motor that of the joint
+    if robot.couplings:  # the friction of a joint that a gear moves is regrouped with its motor's
         order.sort(key=lambda name: name.kind in PLAIN_FRICTION and name.body not in robot.actuated)
     return [name for name in order if name in names]
 

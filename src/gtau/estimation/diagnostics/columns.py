@@ -79,8 +79,7 @@ def other_columns(fit: Fit, beside: bool, progress: Progress) -> EstimatedEffect
 
     def read(order: np.ndarray, signs: np.ndarray, shift: np.ndarray) -> Fit | None:
         along = [_read_otherwise(at, order, signs, shift) for at in middle_windows(fit)]
-        other = refitted(unaltered, dataset=fit.dataset.reduced(along=along))
-        return other if other and np.all((other.gains > 0) | (signs[0] > 0)) else None
+        return refitted(unaltered, dataset=fit.dataset.reduced(along=along))
 
     tried = [(cause, partial(read, *reading)) for cause, *reading in _readings(fit)]
     return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress, beside)

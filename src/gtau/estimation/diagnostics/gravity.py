@@ -174,7 +174,7 @@ def _zero_of_first_joint(robot: Robot, gravity: np.ndarray) -> str:
     turn, axis = np.cross(gravity, declared), np.array(first.placement.rotation) @ np.array(first.axis)
     level = np.isclose(abs(turn @ axis), np.linalg.norm(turn), rtol=1e-3)
     if not (alone and level and first.turns and first.name in robot.motors) or robot.closures or robot.couplings:
-        return ", or the axes of all joints reversed" if _degrees(gravity, declared) > 180 - GRAVITY_LEAST else ""
+        return ", or the axes of all joints reversed" if _degrees(-gravity, declared) < GRAVITY_LEAST else ""
     angle = np.sign(turn @ axis) * _degrees(gravity, declared)
     return f", or as likely an error of {angle:.3g} deg in the zero of encoder '{first.name}'"
 

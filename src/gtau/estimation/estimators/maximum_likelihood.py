@@ -30,9 +30,5 @@ def ml_or_wls(gains: np.ndarray | None) -> Solve:
 
 
 ML = Estimator(
-    "ml",
-    "maximum likelihood in the current domain",
-    Gains.ESTIMATED,
-    lambda gains: ml,
-    plain_fit(lambda gains: ml),
+    "ml", "maximum likelihood in the current domain", Gains.ESTIMATED, lambda gains: ml, plain_fit(lambda gains: ml)
 )

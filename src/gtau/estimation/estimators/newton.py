@@ -150,12 +150,7 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool) 
 
 
 def second_derivatives(
-    blocks: np.ndarray,
-    values: np.ndarray,
-    problem: Problem,
-    free_gains: bool,
-    weights: np.ndarray,
-    follows: np.ndarray,
+    blocks: np.ndarray, values: np.ndarray, problem: Problem, free_gains: bool, weights: np.ndarray, follows: np.ndarray
 ) -> np.ndarray:
     """Compute what is missing from the Gauss-Newton curvature (m, m).
 

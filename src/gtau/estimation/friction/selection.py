@@ -19,7 +19,6 @@ WORDS = {"width": "presliding", "speed": "bent", "load": "load", "temperature": 
 SHAPE_OF = {"width": "width", "speed": "vs"}
 """Terms with a value, and the parameters that hold these values."""
 TERM_T = 2.5  # standard errors, over blocks left out, by which friction with a term is better
-POSSIBLE = 3.0  # rms torques of the motor: a joint's friction at rest exceeds its sliding friction by less
 TERM_SHARE = 0.05  # share of the squared error of blocks left out that a term of friction takes away
 FEWEST_BLOCKS = 6
 STEPS = 6
@@ -204,7 +203,7 @@ def choose(group: FrictionGroup) -> tuple[FrictionFit, FrictionFit, dict[tuple[i
             if candidates := _with(group, best, s, term):
                 least = min(candidates, key=lambda candidate: candidate.errors.sum())
                 t, share = gained(best, least)
-                shown = term != "speed" or (_beyond(group, least, s) and _possible(group, least, s))
+                shown = term != "speed" or _beyond(group, least, s)
                 if t > TERM_T and share > TERM_SHARE and shown:
                     offers.append((share, t, (s, term), least))
         if not offers:
@@ -242,18 +241,6 @@ def _beyond(group: FrictionGroup, after: FrictionFit, s: int) -> bool:
     bare = replace(bent, speed=None)
     t, share = gained(*(fit(group, _changed(after, s, structure)) for structure in (bare, bent)))
     return t > TERM_T and share > TERM_SHARE
-
-
-def _possible(group: FrictionGroup, candidate: FrictionFit, s: int) -> bool:
-    """Decide whether the motors' torques could hold what a joint's friction at rest exceeds its sliding friction by.
-
-    Motor 7 of an xMate7 Pro turned to one side most of the time: 8.3 N m, cancelled by an offset, explained its blocks,
-    left out or not, and another log with an error of 2100 %.
-    """
-    signs = {(s, "fr"): 1.0, (s, "fs"): -1.0}
-    excess = candidate.x @ [signs.get(name, 0.0) for name in candidate.names]
-    rms = np.sqrt(group.signals[:, 1] / np.maximum(group.signals[:, 0], 1))
-    return bool(abs(excess) * np.abs(group.joints[s].ratios).max() < POSSIBLE * rms.max())
 
 
 def _with(group: FrictionGroup, candidate: FrictionFit, s: int, term: str) -> list[FrictionFit]:

@@ -94,31 +94,23 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
             turns = np.clip(np.round((lower + upper - low - high) / (4 * np.pi)), -1, 1)
             low, high = low + 2 * np.pi * turns, high + 2 * np.pi * turns
         excess = max(lower - low, high - upper) / (upper - lower)
-        if excess > FAR_BEYOND_LIMITS:
+        far = "far " if excess > FAR_BEYOND_LIMITS else ""
+        text = f"joint '{joint.name}' goes from {low:z.4g} to {high:z.4g} {unit}, {far}outside its limits "
+        text += f"{lower:z.4g} to {upper:z.4g} {unit}"
+        if far:
             raise GtauError(
-                f"run '{run}': joint '{joint.name}' goes from {low:.4g} to {high:.4g} {unit}, far outside its limits "
-                f"{lower:.4g} to {upper:.4g} {unit}; if the log is in {'deg' if joint.turns else 'mm'}, write that "
-                f"under 'units'; otherwise check the columns and the time, or {write_limits(joint.name)}."
+                f"run '{run}': {text}; if the log is in {'deg' if joint.turns else 'mm'}, write that under 'units'; "
+                f"otherwise check the columns and the time, or {write_limits(joint.name)}."
             )
         if excess > BEYOND_LIMITS:
-            yield Finding(
-                "joint limits",
-                (joint.name,),
-                text=f"joint '{joint.name}' goes from {low:z.4g} to {high:z.4g} {unit}, outside its limits "
-                f"{lower:z.4g} to {upper:z.4g} {unit}",
-                advice=f"check the zero of its position, or {write_limits(joint.name)}",
-            )
-    if joint.limits.velocity is not None and speed > joint.limits.velocity:
+            advice = f"check the zero of its position, or {write_limits(joint.name)}"
+            yield Finding("joint limits", (joint.name,), text=text, advice=advice)
+    if (limit := joint.limits.velocity) is not None and speed > limit:
         # in many files a placeholder, so no log is refused
-        limit = joint.limits.velocity
-        yield Finding(
-            "speed limit",
-            (joint.name,),
-            text=f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / limit:.3g} times its limit of "
-            f"{limit:.4g} {unit}/s",
-            advice=f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}",
-            shown_as="joint limits",
-        )
+        text = f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / limit:.3g} times its limit of "
+        text += f"{limit:.4g} {unit}/s"
+        advice = f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}"
+        yield Finding("speed limit", (joint.name,), text=text, advice=advice, shown_as="joint limits")
 
 
 def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
