@@ -57,7 +57,7 @@ def test_the_link_whose_mass_is_wrong_is_named(true: Robot, heavier: Result) -> 
         truth = float(result.base.matrix[k] @ [chi(true).get(name, 0.0) for name in result.idm.parameter_names])
         assert abs(each.value - truth) < 5 * each.std
     shown = " ".join(result.summary(verbose=False).split())
-    assert "and inertia in the robot file, link by link (torque error after each step): j3 (" in shown
+    assert "and inertia of these links, in this order (torque error left): j3 (" in shown
     assert "The file's inertias predict the torques to" in " ".join(result.summary().split())
     unknown = [AuditedParameter(f"mx_{k}", "j3", "kg m", "not identifiable", 1.0) for k in range(2)]
     listed = inertias_section(replace(audit, parameters=tuple(unknown)))
