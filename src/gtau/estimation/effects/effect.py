@@ -233,16 +233,16 @@ def encoders(fit: Fit) -> dict[str, int]:
     return {joint: place for place, joint in enumerate(actuated) if joint not in fit.dataset.robot.base}
 
 
-def geared(fit: Fit) -> dict[str, tuple[str, float]]:
-    """List the joint that each actuated one moves by a coupling, and how far per rad or m; without one itself, by 1."""
-    gears = {joint: (joint, 1.0) for joint in fit.dataset.model.actuated}
+def geared(fit: Fit) -> dict[str, tuple[float, str]]:
+    """List how far each actuated joint moves one by couplings, per rad or m, and that joint; else itself, by 1."""
+    actuated, moved = fit.dataset.model.actuated, dict[str, list[tuple[float, str]]]()
     for coupling in fit.dataset.robot.couplings:
-        most, ratio = max(coupling.ratios, key=lambda term: abs(term[1]))
-        if coupling.joint in gears and most not in gears:
-            gears[coupling.joint] = most, 1 / abs(ratio)
-        elif most in gears and coupling.joint not in gears:
-            gears[most] = coupling.joint, abs(ratio)
-    return gears
+        for name, ratio in coupling.ratios:
+            turned = coupling.joint in actuated  # the others make it turn
+            motor, joint = (coupling.joint, name) if turned else (name, coupling.joint)
+            if joint not in actuated:
+                moved.setdefault(motor, []).append((1 / abs(ratio) if turned else abs(ratio), joint))
+    return {joint: min(moved.get(joint, [(1.0, joint)])) for joint in actuated}
 
 
 def plain_friction(fit: Fit) -> tuple[np.ndarray, np.ndarray]:

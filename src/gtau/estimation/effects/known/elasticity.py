@@ -46,7 +46,7 @@ def _torques(at: FitWindow) -> Torques:
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
-    ratios = {joint: ratio for joint, (_, ratio) in geared(fit).items() if joint in _motors(fit)}
+    ratios = {joint: ratio for joint, (ratio, _) in geared(fit).items() if joint in _motors(fit)}
     return [
         *(EffectColumn(PLAUSIBLE / ratio, UNIT, joint, least=0.0) for joint, ratio in ratios.items()),
         *(EffectColumn(ROTOR / ratio, UNIT_OF_ROTOR, joint, about="rotor") for joint, ratio in ratios.items()),

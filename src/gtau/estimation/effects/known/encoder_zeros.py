@@ -27,7 +27,7 @@ def _unit(fit: Fit, joint: str) -> str:
 def _columns(fit: Fit) -> Iterator[EffectColumn]:
     gears = geared(fit)
     for joint in encoders(fit):
-        (moved, ratio), unit = gears[joint], _unit(fit, joint)
+        (ratio, moved), unit = gears[joint], _unit(fit, joint)
         gear = SI[_unit(fit, moved)] / (SI[unit] * ratio)
         yield EffectColumn(PLAUSIBLE * gear, unit, joint, largest=LARGEST[_unit(fit, moved)] * gear)
 
