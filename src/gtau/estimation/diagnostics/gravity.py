@@ -157,7 +157,7 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
     values = {"gravity": gravity, "also": also, "left": unexplained}
     if any(gravity):
         along = " or ".join(map(_direction, [gravity, *also]))
-        zero = "" if floating or also else _zero_of_first_joint(unaltered.dataset.robot, np.array(gravity))
+        zero = "" if floating or also else _or_as_likely(unaltered.dataset.robot, np.array(gravity))
         text = f"gravity along {along} of the {'world' if floating else 'base'}{zero}{rest}"
         advice = gravity_advice(gravity, floating)
         cause = Finding(OTHER_GRAVITY, tuple(unexplained), values=values, text=text, advice=advice)
@@ -167,8 +167,8 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
     return described_otherwise(GRAVITY.name, cause, other, unaltered)
 
 
-def _zero_of_first_joint(robot: Robot, gravity: np.ndarray) -> str:
-    """Say by which zero of the joint that carries all others, if by any, the robot moves as with another gravity."""
+def _or_as_likely(robot: Robot, gravity: np.ndarray) -> str:
+    """Say what else looks like another gravity: a zero of the joint that carries all others, or reversed axes."""
     first, declared = robot.joints[0], np.array(robot.gravity)
     alone = [joint for joint in robot.joints if joint.antecedent == first.antecedent] == [first]
     turn, axis = np.cross(gravity, declared), np.array(first.placement.rotation) @ np.array(first.axis)
