@@ -279,16 +279,12 @@ def use(
     from gtau.estimation.results.model_file import load, torque_error
     from gtau.report.torques import external_page
     from gtau.robots.readers.read import frame_on
-    from gtau.signals.reading.drafting import alternatives
     from gtau.signals.reading.experiment import read_experiment
-    from gtau.signals.reading.statements import masses_in_name
     from gtau.uses.external_torques import torques_along_log, write_table
     from gtau.uses.identify import read_log
 
     if force_only and frame is None:
-        raise GtauError(
-            "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
-        )
+        raise GtauError("--force-only applies to a contact frame; name it by --frame LINK, or omit --force-only.")
     if out is not None and out.exists() and log.exists() and out.samefile(log):
         raise GtauError(f"--out would replace the log {log}; give the table another name.")
     result = load(model)
@@ -309,12 +305,20 @@ def use(
     }
     if (wrench := torques.wrench) is not None:
         document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
-    notes = []
     if found := torques.observed:
         document["observed"] = {joint: {"largest": size, "time": time} for joint, (size, time) in found.items()}
-        sizes = (f"{joint} {size:.3g} at {time:.4g} s" for joint, (size, time) in found.items())
-        notes.append(f"largest torques by the observer, N m or N: {', '.join(sizes)}; --out writes all samples")
-    if carries is None and (masses := masses_in_name(log.name)) and (known := ", ".join(result.payload_values)):
-        notes.append(f"the name of the log says {alternatives(masses)} kg, but nothing is carried: --carries {known}?")
-    answer(json_, lambda: document | {"notes": notes}, lambda: external_page(torques), [] if out is None else [out])
+    document["notes"] = notes = _remarks(result, log, carries, found)
+    answer(json_, lambda: document, lambda: external_page(torques), [] if out is None else [out])
     _show_notes([] if json_ else notes)
+
+
+def _remarks(result: IdentifiedModel, log: Path, carried: str | None, observed: dict[str, Any]) -> list[str]:
+    from gtau.signals.reading.drafting import alternatives
+    from gtau.signals.reading.statements import masses_in_name
+
+    notes = []
+    if sizes := ", ".join(f"{joint} {size:.3g} at {time:.4g} s" for joint, (size, time) in observed.items()):
+        notes.append(f"largest torques by the observer, N m or N: {sizes}; --out writes all samples")
+    if carried is None and (masses := masses_in_name(log.name)) and (known := ", ".join(result.payload_values)):
+        notes.append(f"the name of the log says {alternatives(masses)} kg, but nothing is carried: --carries {known}?")
+    return notes

@@ -122,7 +122,8 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             refit = _best_described(chain([loads], others))
             explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
             # effects beside parameters that no body has explain nothing
-            alone, beside = (_impossible(fit, Examination(mixed=effects)) for effects in (None, mixed))
+            estimates = (estimates_of(fit, Examination(mixed=moving), correlated=True) for moving in (None, mixed))
+            alone, beside = (any(gains.impossible_parameters(fit, values)) for values in estimates)
             wrong = misfit or beside or bool(contradicting) or bool(fit.free_gains and fit.gains.min() < 0)
             if refit.cause.values["remains"] >= SURE if refit else wrong and not explained:
                 refit = _best_described([refit, columns.other_columns(fit, not alone, progress)])
@@ -135,10 +136,6 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         kind = "other estimators not tried"
         findings.append(Finding(kind, text=text, grade=Grade.INFORMATION, shown_as="reading"))
     return Examination(effects, contradicting, tuple(findings), mixed)
-
-
-def _impossible(fit: Fit, examined: Examination) -> bool:
-    return any(gains.impossible_parameters(fit, estimates_of(fit, examined, correlated=True)))
 
 
 def _contradicting(
