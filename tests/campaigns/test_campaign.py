@@ -678,8 +678,8 @@ def test_killed_at_any_moment_a_command_is_made_up_for_by_the_next(killed: str, 
     duration = time.monotonic() - begun
     for moment in range(moments):
         folder = Path(shutil.copytree(copied, copied.with_name(f"killed {moment}")))
-        called(folder, (moment + 0.5) / moments * duration)
-        assert called(folder) == wanted
+        if called(folder, (moment + 0.5) / moments * duration) != wanted:  # killed before it was done
+            assert called(folder) == wanted
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

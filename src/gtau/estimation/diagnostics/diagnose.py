@@ -118,13 +118,13 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         contradicting = () if odd else contradicting
         refit: EstimatedEffect | None = None
         if not findings:
-            others = _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress)
-            refit = _best_described(chain([loads], others))
-            explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
             # effects beside parameters that no body has explain nothing
             estimates = (estimates_of(fit, Examination(mixed=moving), correlated=True) for moving in (None, mixed))
             alone, beside = (any(gains.impossible_parameters(fit, values)) for values in estimates)
             wrong = misfit or beside or bool(contradicting) or bool(fit.free_gains and fit.gains.min() < 0)
+            others = _other_descriptions(fit, wrong, lacking, missing, (*effects, *causes), progress)
+            refit = _best_described(chain([loads], others))
+            explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
             if refit.cause.values["remains"] >= SURE if refit else wrong and not explained:
                 refit = _best_described([refit, columns.other_columns(fit, not alone, progress)])
         if refit:
@@ -163,26 +163,26 @@ def _contradicting(
 
 
 def _other_descriptions(
-    fit: Fit, misfit: bool, lacking: bool, missing: bool, effects: Sequence[EstimatedEffect], progress: Progress
+    fit: Fit, wrong: bool, lacking: bool, missing: bool, effects: Sequence[EstimatedEffect], progress: Progress
 ) -> Iterator[EstimatedEffect | None]:
     """Fit the data with other descriptions of robot and logs.
 
-    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
+    Each is tried where something is ``wrong``, or the residual is autocorrelated, as that takes seconds a fit.
     """
-    if misfit or lacking:
+    if wrong or lacking:
         yield descriptions.other_body(fit)
-    if misfit:
+    if wrong:
         yield columns.reversed_torques(fit)
     tilted = any(effect.effect == "gravity" and effect.share > gravity.REFUTED_SHARE for effect in effects)
     others = list[EstimatedEffect | None]()
     if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
         others.append(gravity.other_clock(fit, progress))
-    turned = misfit or (lacking and tilted)
+    turned = wrong or (lacking and tilted)
     if missing or turned:
         others.append(gravity.likeliest_gravity(fit, missing, turned, progress))
     # a clock that is far too slow leaves as little gravity as torques without gravity do
     yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
-    if misfit:
+    if wrong:
         yield columns.angle_from_another_link(fit, progress)
 
 
