@@ -321,7 +321,7 @@ def test_a_wrong_gear_ratio_is_named(tmp_path: Path, joint: str, scale: float) -
     assert Grade.CONTRADICTORY in {gain.verdict.outcome for gain in result.drive_gains.values()}
 
 
-@pytest.mark.parametrize("factor", [0.99, 1.01])
+@pytest.mark.parametrize("factor", [pytest.param(0.99, marks=pytest.mark.slow), 1.01])
 def test_a_wrong_length_of_the_robot_file_is_found_with_its_size(tmp_path: Path, factor: float) -> None:
     body, gains = {"m": 1.5, "mx": 0.05, "mz": 0.1}, (8.0, 9.0, 7.0, 5.0)
     true = robot(tmp_path)

@@ -81,7 +81,9 @@ READINGS = {
 }
 
 
-@pytest.mark.parametrize("what", READINGS)
+@pytest.mark.parametrize(
+    "what", [pytest.param(what, marks=[pytest.mark.slow] * (k in (1, 2))) for k, what in enumerate(READINGS)]
+)
 def test_other_signs_zeros_and_orders_of_columns_are_named(tmp_path: Path, what: str) -> None:
     def read(run: Run) -> Run:
         command = READINGS[what](run.command) if "current" in what else run.command

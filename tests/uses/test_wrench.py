@@ -222,7 +222,7 @@ def test_the_command_writes_wrench_and_observer(tmp_path: Path) -> None:
     assert [each["name"] for each in document["wrench"]["components"]] == list(WRENCH)
     for wrong, sentence in (
         (["--frame", "tool0"], "only a URDF has"),
-        (["--force-only"], "name the frame by --frame LINK"),
+        (["--force-only"], "name it by --frame LINK"),
         (["--observer", "-1"], "write a positive number"),
     ):
         refused = CliRunner().invoke(app, [*command[:3], *wrong])
