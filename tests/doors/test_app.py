@@ -183,6 +183,7 @@ class Hand:
         self.until(lambda: words in self.text, seconds)
 
 
+@pytest.mark.slow
 def test_a_wrong_column_is_corrected_beside_its_plot(project, chromium, tutorial):
     hand = Hand(chromium, project.address)
     hand.drop(1, *(tutorial / log for log in LOGS))

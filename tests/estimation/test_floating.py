@@ -65,6 +65,7 @@ def test_an_arm_at_rest_on_a_force_plate(tmp_path: Path) -> None:
     assert not [note for note in map(str, result.notes) if "trunk" in note and "moves" in note]
 
 
+@pytest.mark.slow
 def test_a_wrong_wrench_shows(hung: Truth, tmp_path: Path) -> None:
     """Forces that the robot exerts instead of those that act on it give it a negative mass; moments about elsewhere."""
     columns = hung.columns | {name: -hung.columns[name] for name in ("hx", "hy", "hz", "hmx", "hmy", "hmz")}

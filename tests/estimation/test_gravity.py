@@ -105,6 +105,7 @@ def test_other_robots(robot: Robot, true: Gravity, currents: bool, also: int) ->
     assert max(axis(each) @ axis(true) for each in gravities) > 0.999
 
 
+@pytest.mark.slow
 def test_gravity_is_not_missing_where_the_logs_contradict_it() -> None:
     """Whatever the ranking of efforts says: it asks each joint alone, some of whose columns may stand for its gravity.
 

@@ -96,6 +96,7 @@ def test_an_estimator_that_takes_no_priors_says_whose_they_are(true: Robot) -> N
         identify(true, [plant(true).run(1)], method="tls", prior_inertias=0.3)
 
 
+@pytest.mark.slow
 def test_priors_hold_what_is_not_excited_and_leave_the_rest(true: Robot) -> None:
     """Joints 1 and 4 hardly move, behind much noise: half of the parameters are open without the file."""
     quiet = plant(true, (0.01, 0.9, 1.2, 0.01), noise=3.0)

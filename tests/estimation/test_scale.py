@@ -249,6 +249,7 @@ def test_a_sensor_beside_known_parameters_is_held_against_them_with_their_deviat
     assert each.value == pytest.approx(1.05, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_wrong_mass_beside_a_sensor_is_named() -> None:
     plant = arm().with_sensors("1", "2", "3")
     result = identify(ARM, [plant.run(1), plant.run(2, STEEL, Payload(name="steel", mass=1.2 * STEEL["m"]))])
@@ -428,6 +429,7 @@ def test_known_parameters_test_torques_and_are_compared_with_all_else(
         assert float(said.what.partition(" is ")[2].split()[0]) == pytest.approx(true["mz_j4"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_first_moment_in_metres_is_recognised(tmp_path: Path) -> None:
     arm = stated_arm.robot(tmp_path)
     plant = replace(stated_arm.plant(arm), tool="j4")

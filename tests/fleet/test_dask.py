@@ -73,6 +73,7 @@ def test_refused_and_lost_items_are_reported_and_the_others_are_done(function, s
     assert results == {k: k * k for k in (0, 1, 2, 4)}
 
 
+@pytest.mark.slow
 def test_workers_that_do_not_come_back() -> None:
     with local_cluster(1) as cluster, dask_workers(cluster.scheduler_address, without_workers=2.0) as mapper:
         results = iter(mapper(time.sleep, [0.01, 60]))
@@ -94,6 +95,7 @@ def test_what_is_not_wanted_any_more_is_cancelled(client, tmp_path: Path) -> Non
     assert len(begun) <= 1 + len(client.scheduler_info()["workers"])  # each worker had begun one more
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_stops() -> None:
     with local_cluster(1) as cluster, dask_workers(cluster.scheduler_address) as mapper:
         results = iter(mapper(time.sleep, [0.01, 60]))
