@@ -19,8 +19,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DRIVE, INERTIAL, PLAIN_FRICTION, Robot
 
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
-IDLE = 1e-10  # share of the largest column: a smaller one is rounding
-IDLE_LOGGED = 1e-13  # the same along logs, where cubes of the speeds of motors are much larger than others
+IDLE = 1e-12  # share of the largest column, such as the cube of a motor's speed: a smaller one is rounding
 ROWS = 2  # of the regressor for each of its columns that are drawn at once
 SAMPLES = 60  # drawn at once at least: they give the rank that 1500 do
 COUNTING, STEPS = "counting base parameters", 3  # of a draw: its regressor, factor and rank
@@ -187,14 +186,13 @@ def _settled_triangle(
     )
 
 
-def independent_columns(A: np.ndarray, rounding: float = IDLE) -> tuple[list[int], np.ndarray, list[int]]:
+def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]]:
     """Select the columns of ``A`` (r, c) that do not depend on those before them.
 
-    A column below the share ``rounding`` of the largest is zero. Returns their indices ``kept``, coefficients with
-    which ``A = A[:, kept] @ coefficients``, and those that are zero.
+    Returns their indices ``kept``, coefficients with which ``A = A[:, kept] @ coefficients``, and those that are zero.
     """
     norms = np.linalg.norm(A, axis=0)
-    idle = norms <= rounding * norms.max(initial=0.0)
+    idle = norms <= IDLE * norms.max(initial=0.0)
     order = np.flatnonzero(~idle)
     R, b, tried = np.asarray(np.linalg.qr(A[:, order] / norms[order], mode="r")), 0, len(order)
     while b < min(len(R), tried):

@@ -23,7 +23,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.factors import EXTRA, FIXED, KNOWN, MODEL, SIGNAL, SIGNALS, Factors, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns
-from gtau.model.base_parameters import IDLE_LOGGED, BaseParameters, independent_columns, seen_by_sensor
+from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import DRIFTING, TEMPERATURE_TERMS, TERMS, Parameter, payload_label
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
@@ -329,5 +329,5 @@ def require_base_wrench(model: InverseDynamics, factors: Sequence[Factors]) -> N
 def unexcited(problem: Problem) -> tuple[Parameter, ...]:
     """Find the parameters that these motions cannot separate from those before them."""
     rows = (R[:, MODEL] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True))
-    kept, _, _ = independent_columns(triangle(*rows, problem.known[:, :-1]), IDLE_LOGGED)
+    kept, _, _ = independent_columns(triangle(*rows, problem.known[:, :-1]))
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)

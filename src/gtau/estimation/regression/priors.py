@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from gtau.errors import GtauError, meant
 from gtau.estimation.regression.factors import KNOWN, MODEL, SIGNAL
 from gtau.estimation.regression.problem import Problem
-from gtau.model.base_parameters import IDLE_LOGGED, BaseParameters, independent_columns
+from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
@@ -228,7 +228,7 @@ def require_scale(
                 f"of the robot's own bodies in every run, so that {'they give' if several else 'it gives'} no scale; "
                 f"add a run without the tool, or with another, {other}."
             )
-    if len(problem.parameters) in independent_columns(_with_scale(problem), IDLE_LOGGED)[0]:
+    if len(problem.parameters) in independent_columns(_with_scale(problem))[0]:
         return
     raise _without_effect(robot, problem, stated, other)
 

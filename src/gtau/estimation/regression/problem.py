@@ -17,7 +17,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.factors import FIXED, KNOWN, MODEL, SIGNAL, delayed_signal, select_columns, triangle
-from gtau.model.base_parameters import IDLE_LOGGED, independent_columns
+from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 
@@ -263,7 +263,7 @@ class Problem:
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
         """For each channel, the columns of [W_theta | known] that are independent in its own equations."""
-        return tuple(independent_columns(R[:, : KNOWN + 1], IDLE_LOGGED)[0] for R in self.triangles)
+        return tuple(independent_columns(R[:, : KNOWN + 1])[0] for R in self.triangles)
 
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
@@ -360,7 +360,7 @@ class Problem:
         independent = tuple(
             [now[k] for k in chosen if k in now]
             if now.keys() >= set(chosen) or len(chosen) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
-            else independent_columns(T[:, : KNOWN + 1], IDLE_LOGGED)[0]
+            else independent_columns(T[:, : KNOWN + 1])[0]
             for chosen, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
         )
 
