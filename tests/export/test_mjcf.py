@@ -8,11 +8,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from models_to_export import model_of, sprung
+from models_to_export import model_of, preslid, sprung
 from robots_for_tests import CLOSED, SERIAL
 
 from gtau.errors import GtauError
 from gtau.export import mjcf
+from gtau.export.consistent import consistent_model
 from gtau.export.mjcf import export
 from gtau.model.home import load_robot
 from gtau.model.loops import Motion
@@ -66,6 +67,7 @@ def test_mujoco_moves_with_the_torques_of_the_model(robot: Robot, tmp_path: Path
     result = result.replaced(friction={name: each for name, each in result.friction.items() if name.startswith("f3")})
     idm, standard = result.idm, dict(result.consistency.standard)
     standard |= {f"off_{joint.name}": 0.0 for joint in robot.joints if not joint.actuated}
+    result = result.replaced(consistency=replace(result.consistency, standard=standard))
     (path,) = export(result, tmp_path).files
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -122,6 +124,15 @@ def test_home_is_closed_and_stays_so(tmp_path: Path) -> None:
         mujoco.mj_step(model, data)
     assert np.abs(data.efc_pos[: data.ne]).max() < 1e-4
     assert load_robot(path).actuated == result.robot.actuated
+
+
+def test_friction_that_a_coupled_joint_shares_with_its_motor_is_exported_once() -> None:
+    result = preslid(model_of(GEARED))
+    values = consistent_model(result, "mjcf").values
+    shared = result.base.matrix @ [values[name] for name in result.idm.parameter_names]
+    exported = dict(zip(result.base.standard, shared, strict=True))
+    for name in ("fv_1", "fs_1"):
+        assert exported[name] == pytest.approx(result.friction_parameters[name].value, rel=1e-3)
 
 
 def test_a_joint_coupled_to_two_is_refused(tmp_path: Path) -> None:

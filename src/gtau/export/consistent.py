@@ -57,7 +57,7 @@ def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
     if consistency is None:
         why = next((str(note) for note in result.notes if note.kind == NO_BODIES), WITHOUT)
         raise GtauError(f"an export to {target} needs the parameters of every body, but {why}.")
-    values, straight = dict(consistency.standard), []
+    values, straight = _on_motors(result, consistency.standard), []
     terms = {name: term.value or 0.0 for name, term in result.friction_parameters.items()}
     for joint in (joint.name for joint in result.robot.joints):
         if joint in result.curves:  # its friction comes from the model, not from the fit of rigid bodies
@@ -73,6 +73,17 @@ def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
             values[cubic] = terms[cubic]
     gains = {joint: gain for joint, (gain, _) in consistency.gains.items()}
     return ConsistentModel(result, values, gains, tuple(straight))
+
+
+def _on_motors(result: IdentifiedModel, standard: Mapping[str, float]) -> dict[str, float]:
+    """Move friction that joints coupled to a motor share with it onto the joint by which it is identified."""
+    values, base, index = dict(standard), result.base, {name: k for k, name in enumerate(result.idm.parameter_names)}
+    for name, row in zip(base.standard, base.matrix, strict=True):
+        for other, k in index.items():
+            if name.kind == other.kind in PLAIN_FRICTION and other != name and row[k]:
+                values[name] += float(row[k]) * standard[other]
+                values[other] = 0.0
+    return values
 
 
 def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> tuple[dict[str, float], str]:
