@@ -24,14 +24,17 @@ from gtau.excitation.trajectory import (
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
+from gtau.robots.robot import SPRING, Attachment, Limits, Pose, Robot, Spring
 from gtau.signals.reading.statements import Payload
 
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
 
 
 def make_task(robot: Robot) -> DesignProblem:
-    """Two runs of a robot of arbitrary parameters, every kind of limit given."""
+    """Two runs of a robot of arbitrary parameters, every kind of limit given, of passive joints too."""
+    swinging = Limits((-4.0, 4.0), 5.0)
+    joints = [joint if joint.actuated else replace(joint, limits=swinging) for joint in robot.joints]
+    robot = replace(robot, joints=tuple(joints))
     model = InverseDynamics(robot)
     base, n = base_parameters(model), len(model.actuated)
     rng = np.random.default_rng(3)
@@ -81,13 +84,16 @@ def test_slopes_of_loads_agree_with_differences(task: DesignProblem, rng: np.ran
     grid, x = design_grid(task), 0.3 * task.series.random(rng)
     point, way, h = evaluate(task, x, grid), rng.normal(size=x.size), 1e-6
     ahead, behind = (list(constraint_usages(evaluate(task, x + s * h * way, grid, point))) for s in (1, -1))
-    kinds = set()
+    kinds, named = set(), set()
     for load, after, before in zip(constraint_usages(point), ahead, behind, strict=True):
         expected = (after.values - before.values) / (2 * h)
         computed = load.rows() @ way
         assert np.abs(computed - expected).max() <= 3e-5 * (np.abs(expected).max() + 1e-3), load.what
         kinds.add(load.what.split()[0])
+        named.add(load.what)
     assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "speed", "time"} <= kinds
+    for joint in task.model.robot.joints:
+        assert {f"position of joint '{joint.name}'", f"velocity of joint '{joint.name}'"} <= named
 
 
 def sprung() -> Robot:

@@ -77,6 +77,7 @@ def constraint_usages(point: Point, share: np.ndarray | None = None) -> Iterator
     """
     limits = point.task.limits
     yield from _kinematic(point)
+    yield from _passive(point)
     yield from _drives(point)
     yield from _workspace(point)
     yield from tool_speed(point)
@@ -113,6 +114,30 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
                 unit + PER[order],
                 (point.joints[order, j] - middle) / scale,
                 lambda order=order, j=j, scale=scale: point.rows_of(order, j) / scale,  # type: ignore[misc]
+                middle=None if order else middle,
+            )
+
+
+def _passive(point: Point) -> Iterator[ConstraintUsage]:
+    """Compute the usage of limits of joints that motors move by couplings or closed loops."""
+    motion, first = point.motion, point.task.model.layout.n_c
+    for row, joint in enumerate(point.task.model.robot.joints):
+        if joint.actuated:
+            continue
+        low, high = joint.limits.position or (-np.inf, np.inf)
+        speed = joint.limits.velocity or np.inf
+        for order, scale, middle in ((0, (high - low) / 2, (low + high) / 2), (1, speed, 0.0)):
+            if not np.isfinite(scale):
+                continue
+            slopes = np.zeros((2 * first, motion.c.shape[1]))
+            slopes[first * order + row] = 1 / scale
+            yield ConstraintUsage(
+                ORDERS[order],
+                f"{ORDERS[order]} of joint '{joint.name}'",
+                float(scale),
+                joint.unit + PER[order],
+                ((motion.yd if order else motion.c)[row] - middle) / scale,
+                partial(point.rows, slopes),
                 middle=None if order else middle,
             )
 

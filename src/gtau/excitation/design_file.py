@@ -250,12 +250,13 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
     """Take the limits of the design file, or a share of the robot's; say which are taken and which are missing."""
     share, near = entry.share, list[str]()
     limits: dict[str, Limits] = {}
-    for name in robot.actuated:
-        given = robot.joint(name).limits
+    for joint in robot.joints:
+        name, given = joint.name, joint.limits
         position = given.position
         if position is not None and share < 1:
             middle, half = (position[0] + position[1]) / 2, share * (position[1] - position[0]) / 2
-            start = rest[name] if position[0] <= rest[name] <= position[1] else middle
+            start = rest.get(name, joint.home)
+            start = start if position[0] <= start <= position[1] else middle
             near += [f"'{name}'"] * bool(abs(start - middle) > half)
             # runs begin within the limits
             position = min(middle - half, start), max(middle + half, start)
@@ -266,7 +267,8 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
             acceleration=entry.acceleration.get(name, share * (given.acceleration or 0.0) or None),
             effort=share * (given.effort or 0.0) or None,
         )
-    joints = tuple(replace(joint, limits=limits.get(joint.name, joint.limits)) for joint in robot.joints)
+    joints = tuple(replace(joint, limits=limits[joint.name]) for joint in robot.joints)
+    limits = {name: limits[name] for name in robot.actuated}
     beyond = f" (but for {some_of(near, 4)} out to where it rests)" if near else ""
     notes = [f"limits: {100 * share:.3g} % of the robot file's{beyond}, yours in full; change with limits.share"]
     if free := [f"'{name}'" for name, limit in limits.items() if limit.position is None]:
