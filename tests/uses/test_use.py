@@ -65,6 +65,12 @@ def test_a_payload_of_the_model_is_no_external_torque(result: gtau.Result) -> No
         carrying(result, run, "lead")
 
 
+def test_a_log_in_degrees_is_refused_as_by_identification(result: gtau.Result) -> None:
+    run = PLANT.run("degrees", seed=5)
+    with pytest.raises(gtau.GtauError, match="too far for robot 'five-bar', so its positions look like deg"):
+        torques_along_log(result, replace(run, position=60 * run.position))
+
+
 def test_the_force_of_an_identified_model_is_zero_within_intervals_of_its_size(result: gtau.Result) -> None:
     """Parameters are known together far better than each: their covariance counts, not their standard deviations."""
     at = frame_on(result.robot.tool, "0.3 0 0 0 0 0", None)

@@ -16,7 +16,7 @@ from gtau.errors import GtauError, quoted, spelled
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import at_rate_of
-from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
+from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed, within_limits
 from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.estimate import BandError, TorqueError
 from gtau.estimation.results.result import IdentifiedModel
@@ -193,6 +193,7 @@ def prepared_for(result: IdentifiedModel, run: Run | str | Path) -> tuple[Prepar
     run = suited(result, run)
     check_wrenches(result.robot, run)
     prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
+    prepared = within_limits(result.robot, prepared)
     return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 
