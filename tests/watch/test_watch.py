@@ -229,6 +229,17 @@ def test_a_fault_of_the_signals_is_named(
         assert words in alarm_words(watch.alarm)[0]
 
 
+def test_nothing_is_said_beside_a_reversed_current(model: Result, healthy: list[LogStatistics]) -> None:
+    watch = watched(model, healthy)
+    for k in range(100, 104):
+        run = day(k, friction=1.2)  # within tolerance
+        log = statistics_of(model, replace(run, command=run.command * [1.0, -1.0]))
+        watch.update_statistics(log, f"{k}", f"2026-02-{k - 99:02d}")
+    (cause,) = watch.alarm.explanations
+    assert (cause.kind, cause.joint, cause.and_also) == ("units", "right", None)
+    assert cause.size == pytest.approx(-1.0, abs=0.05)
+
+
 def test_no_fault_of_the_signals_is_named_without_one(model: Result, healthy: list[LogStatistics]) -> None:
     values = np.mean([log.values for log in healthy], axis=0)
     others = [{"gain": 0.8}, {"friction": 3.0}, {"payload": 1.0}, {"zero": 10.0}, {"gain": 0.9, "payload": 0.4}]

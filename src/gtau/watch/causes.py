@@ -128,10 +128,11 @@ def causes_of(
             alone = own.sum(axis=0) == 1
             sizes, std = np.where(alone, difference @ own, sizes), np.where(alone, np.sqrt(np.diag(sigma)) @ own, std)
         parts = zip(several, np.split(sizes, ends), np.split(factor * std, ends), strict=True)
-        first, *others = (_stated(model, log, heaviest, *part) for part in parts)
-        if first is None or None in others:
+        first, *more = (_stated(model, log, heaviest, *part) for part in parts)
+        # where a channel is rescaled, the charts are too far from linear to show another change beside it
+        if first is None or any(each is None or (each.kind == "units") != (first.kind == "units") for each in more):
             return []
-        return [(misfit, first.model_copy(update={"and_also": others[0] if others else None}))]
+        return [(misfit, first.model_copy(update={"and_also": more[0] if more else None}))]
 
     hypotheses = list(_hypotheses(model, log.quantities))
     fits = [fitted for hypothesis in hypotheses for fitted in fit(hypothesis)]
