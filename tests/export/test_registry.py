@@ -13,8 +13,10 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
+from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.export.exported import HOME
 from gtau.extensions import names
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 
@@ -49,6 +51,15 @@ def test_notes_of_an_export_fit_a_terminal(tmp_path: Path, monkeypatch: pytest.M
         assert done.exit_code == 0, done.output
         assert "\n- " in done.stdout
         assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_a_contradictory_model_is_called_so_by_every_export(tmp_path: Path) -> None:
+    result = model_of(load_robot("five-bar"), consistent=False)
+    verdict = replace(GOOD, grade=Grade.CONTRADICTORY, text="the gain reverses its sign")
+    gains = {joint: replace(gain, verdict=verdict) for joint, gain in result.drive_gains.items()}
+    notes = gtau.export_model(result.replaced(drive_gains=gains), "c", tmp_path / "c").notes
+    assert notes[0].startswith("All joints contradict the description: the gain reverses its sign.")
+    assert gtau.export_model(result, "c", tmp_path / "c").notes == notes[1:]
 
 
 def test_python_takes_results_and_files(model: Path, tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
+from gtau.estimation.diagnostics.verdict import GOOD
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.robots.readers.read import frame_on
 from gtau.signals.reading.statements import Payload
@@ -105,6 +107,11 @@ def test_the_command_writes_tables(result: gtau.Result, tmp_path: Path) -> None:
     shown = " ".join(done.output.split())
     assert "largest torques by the observer, N m or N: left 2" in shown
     assert "the name of the log says 1.2 kg, but nothing is carried: --carries steel?" in shown
+    verdict = replace(GOOD, grade=Grade.CONTRADICTORY, text="the gain reverses its sign")
+    gains = {joint: replace(gain, verdict=verdict) for joint, gain in result.drive_gains.items()}
+    result.replaced(drive_gains=gains).save(tmp_path / "model.json")
+    shown = " ".join(CliRunner().invoke(app, [*command[:2], named, *command[3:]]).output.split())
+    assert "- All joints contradict the description: the gain reverses its sign." in shown
 
 
 def test_what_cannot_be_used_is_refused(result: gtau.Result, tmp_path: Path) -> None:
