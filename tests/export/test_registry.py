@@ -53,13 +53,18 @@ def test_notes_of_an_export_fit_a_terminal(tmp_path: Path, monkeypatch: pytest.M
         assert max(map(len, done.stdout.splitlines())) <= 80
 
 
-def test_a_contradictory_model_is_called_so_by_every_export(tmp_path: Path) -> None:
+def test_exports_repeat_the_verdict_on_a_model_that_is_not_known(tmp_path: Path) -> None:
     result = model_of(load_robot("five-bar"), consistent=False)
-    verdict = replace(GOOD, grade=Grade.CONTRADICTORY, text="the gain reverses its sign")
-    gains = {joint: replace(gain, verdict=verdict) for joint, gain in result.drive_gains.items()}
-    notes = gtau.export_model(result.replaced(drive_gains=gains), "c", tmp_path / "c").notes
-    assert notes[0].startswith("All joints contradict the description: the gain reverses its sign.")
-    assert gtau.export_model(result, "c", tmp_path / "c").notes == notes[1:]
+
+    def notes(grade: Grade) -> tuple[str, ...]:
+        verdict = replace(GOOD, grade=grade, text="the gain reverses its sign")
+        gains = result.drive_gains | {"left": replace(result.drive_gains["left"], verdict=verdict)}
+        return gtau.export_model(result.replaced(drive_gains=gains), "c", tmp_path / "c").notes
+
+    said = notes(Grade.CONTRADICTORY)
+    assert said[0].startswith("Joint 'left' contradicts the description: the gain reverses its sign.")
+    assert "'left' has no identifiable" in notes(Grade.NOT_IDENTIFIABLE)[0]
+    assert gtau.export_model(result, "c", tmp_path / "c").notes == notes(Grade.WEAK) == said[1:]
 
 
 def test_python_takes_results_and_files(model: Path, tmp_path: Path) -> None:

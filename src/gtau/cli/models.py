@@ -313,11 +313,11 @@ def use(
 
 
 def _remarks(result: IdentifiedModel, log: Path, carried: str | None, observed: dict[str, Any]) -> list[str]:
-    from gtau.estimation.results.conclusions import headline
     from gtau.signals.reading.drafting import alternatives
     from gtau.signals.reading.statements import masses_in_name
+    from gtau.uses.prediction import doubts
 
-    notes = [] if result.believable else [headline(result)]
+    notes = doubts(result)
     if sizes := ", ".join(f"{joint} {size:.3g} at {time:.4g} s" for joint, (size, time) in observed.items()):
         notes.append(f"largest torques by the observer, N m or N: {sizes}; --out writes all samples")
     if carried is None and (masses := masses_in_name(log.name)) and (known := ", ".join(result.payload_values)):

@@ -15,11 +15,11 @@ import numpy as np
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError, meant
-from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.model_file import load
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.extensions import find, homes, names
 from gtau.robots.geometry import refuse_floating
+from gtau.uses.prediction import doubts
 
 HOME = ("gtau.exports", "gtau.export")  # group of entry points, and the package of the built-in kinds
 MODELS = 16  # default number of draws written as models
@@ -167,5 +167,4 @@ def export_model(
             figures = {**exported.figures, "moved_share": drawn.moved_share}
             exported = replace(exported, notes=(*exported.notes, drawn.note), figures=figures)
         texts = {file.relative_to(made): file.read_bytes() for file in files}
-    doubts = () if result.believable else (headline(result),)
-    return replace(exported, files=written(Path(out), texts), notes=(*doubts, *exported.notes))
+    return replace(exported, files=written(Path(out), texts), notes=(*doubts(result), *exported.notes))
