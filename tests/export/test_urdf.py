@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -131,6 +133,10 @@ def test_gtau_reads_the_robot_back(name: str, tmp_path: Path) -> None:
     again = load_robot(exported.files[0])
     assert again.actuated == robot.actuated
     assert len(again.closures) == len(robot.closures)
+    for joint in robot.joints:
+        assert again.joint(joint.name).limits == replace(joint.limits, acceleration=None)
+    for limit in ElementTree.parse(exported.files[0]).iter("limit"):  # of simulators, in which 0 holds a joint
+        assert min(float(limit.get("velocity")), float(limit.get("effort"))) > 0
     if name != "orthoglide":
         idm, other = InverseDynamics(robot), InverseDynamics(again)
         q = np.array([[joint.home for joint in robot.joints if joint.actuated]]) + 0.05

@@ -28,7 +28,7 @@ from gtau.robots.placement import Placement, Pose, compose, pose_of, turn
 from gtau.robots.robot import GROUND, ROTATIONS, STIFFNESS, TRANSLATIONS, Coupling, Joint, Platform, Robot, Spring
 
 ROOT = "base"
-UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
+UNLIMITED = 1e10  # SI units: the format requires limits; simulators take 0 for one, and readers 1e9 and more for none
 
 
 def export(result: IdentifiedModel, out: Path) -> Exported:
@@ -110,7 +110,7 @@ def _moving(element: Element, joint: Joint) -> None:
     SubElement(element, "axis", xyz=digits(joint.axis))
     low, high = limits.position or (-UNLIMITED, UNLIMITED)
     bounds = {} if endless else {"lower": low, "upper": high}
-    bounds |= {"velocity": limits.velocity or 0.0, "effort": limits.effort or 0.0}
+    bounds |= {"velocity": limits.velocity or UNLIMITED, "effort": limits.effort or UNLIMITED}
     SubElement(element, "limit", {kind: digits(bound) for kind, bound in bounds.items()})
 
 
