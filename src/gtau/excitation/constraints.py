@@ -13,6 +13,7 @@ from gtau.excitation.clearance import FLOOR, Clearance, Nearest, Pair
 from gtau.excitation.task import DesignProblem, Grid, Point, along, close
 from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.robots.parameter import torque_unit
+from gtau.robots.robot import Joint
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 PER = ("", "/s", "/s2", "/s3")
@@ -100,46 +101,39 @@ def constraint_usages(point: Point, share: np.ndarray | None = None) -> Iterator
 
 def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
     task, limits = point.task, point.task.limits
-    for j, joint in enumerate(task.model.actuated):
-        unit = task.model.robot.joint(joint).unit
+    for j, joint in enumerate(map(task.model.robot.joint, task.model.actuated)):
         low, high = limits.position[j]
         for order, scale in enumerate([(high - low) / 2, *limits.rates[:, j]]):
-            if not np.isfinite(scale):
-                continue
-            middle = 0.0 if order else (low + high) / 2
-            yield ConstraintUsage(
-                ORDERS[order],
-                f"{ORDERS[order]} of joint '{joint}'",
-                float(scale),
-                unit + PER[order],
-                (point.joints[order, j] - middle) / scale,
-                lambda order=order, j=j, scale=scale: point.rows_of(order, j) / scale,  # type: ignore[misc]
-                middle=None if order else middle,
-            )
+            rows = partial(_series_rows, point, order, j, scale)
+            yield from _of_joint(joint, order, point.joints[order, j], scale, (low + high) / 2, rows)
+
+
+def _series_rows(point: Point, order: int, j: int, scale: float) -> np.ndarray:
+    return point.rows_of(order, j) / scale
 
 
 def _passive(point: Point) -> Iterator[ConstraintUsage]:
     """Compute the usage of limits of joints that motors move by couplings or closed loops."""
-    motion, first = point.motion, point.task.model.layout.n_c
+    motion, n_c = point.motion, point.task.model.layout.n_c
     for row, joint in enumerate(point.task.model.robot.joints):
-        if joint.actuated:
-            continue
-        low, high = joint.limits.position or (-np.inf, np.inf)
-        speed = joint.limits.velocity or np.inf
-        for order, scale, middle in ((0, (high - low) / 2, (low + high) / 2), (1, speed, 0.0)):
-            if not np.isfinite(scale):
-                continue
-            slopes = np.zeros((2 * first, motion.c.shape[1]))
-            slopes[first * order + row] = 1 / scale
-            yield ConstraintUsage(
-                ORDERS[order],
-                f"{ORDERS[order]} of joint '{joint.name}'",
-                float(scale),
-                joint.unit + PER[order],
-                ((motion.yd if order else motion.c)[row] - middle) / scale,
-                partial(point.rows, slopes),
-                middle=None if order else middle,
-            )
+        if not joint.actuated:
+            low, high = joint.limits.position or (-np.inf, np.inf)
+            scales = (high - low) / 2, joint.limits.velocity or np.inf
+            for order, (values, scale) in enumerate(zip((motion.c, motion.yd), scales, strict=True)):
+                slopes = np.zeros((2 * n_c, motion.c.shape[1]))
+                slopes[n_c * order + row] = 1 / scale
+                rows = partial(point.rows, slopes)
+                yield from _of_joint(joint, order, values[row], scale, (low + high) / 2, rows)
+
+
+def _of_joint(
+    joint: Joint, order: int, values: np.ndarray, scale: float, middle: float, rows: Callable[[], np.ndarray]
+) -> Iterator[ConstraintUsage]:
+    """Compare a joint's position, counted from the middle of its range, or a rate with its limit, if it has one."""
+    if np.isfinite(scale):
+        what, unit = f"{ORDERS[order]} of joint '{joint.name}'", joint.unit + PER[order]
+        used, center = (values / scale, None) if order else ((values - middle) / scale, middle)
+        yield ConstraintUsage(ORDERS[order], what, float(scale), unit, used, rows, middle=center)
 
 
 def _drives(point: Point) -> Iterator[ConstraintUsage]:

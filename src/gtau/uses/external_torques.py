@@ -46,7 +46,6 @@ CLEAR = 0.005  # least share of the largest singular value of J^T (lengths over 
 ROUNDING = 1e-10  # relative singular value of a direction that is left out
 SEEN = 0.999  # of a component's square in seen directions; others contribute at most sqrt(SEEN (1 - SEEN)) = 3 %
 NORMAL = 1.959963984540054  # half the 95 % interval, in standard deviations
-BEYOND = 4.0  # standard deviations, as in the table of torques
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class WrenchAlongLog:
             return Component(name, unit, share)
         values, half = self.wrench[kept, k], self.interval[kept, k]
         largest = _largest(values, self.time[kept])
-        beyond = float(np.mean(np.abs(values) > BEYOND * half / NORMAL))
+        beyond = float(np.mean(np.abs(values) > USABLE * half / NORMAL))
         return Component(name, unit, share, _rms(values), float(np.median(half)), *largest, beyond)
 
 
