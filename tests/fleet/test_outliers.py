@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gtau.fleets.table import LEAST, FleetGains, Report, fleet_table
+from gtau.fleets.table import LEAST, FleetTable, Report, fleet_table
 
 JOINTS = 3
 
 
-def table_of(values: np.ndarray, std: np.ndarray) -> FleetGains:
+def table_of(values: np.ndarray, std: np.ndarray) -> FleetTable:
     """Compare robots with gains (N,) or (JOINTS, N), whose standard deviations have 39 degrees of freedom."""
     reports = []
     for k, (gains, stds) in enumerate(zip(np.atleast_2d(values).T, np.atleast_2d(std).T, strict=True)):

@@ -21,7 +21,7 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.estimator import Gains
 from gtau.estimation.results.model_file import model_text
-from gtau.fleets.table import FleetGains, Report, fleet_table
+from gtau.fleets.table import FleetTable, Report, fleet_table
 from gtau.fleets.workers import Mapper, dask_workers, processes
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
@@ -102,21 +102,6 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
     return [("/".join(names[first : len(names) - last]), path) for names, path in zip(parts, paths, strict=True)]
 
 
-class FleetTable(FleetGains):
-    """What :func:`fleet` finds: every gain of every robot, and how it compares with the others."""
-
-    def __repr__(self) -> str:
-        counts = f"robots: {len(self.robots)}, outliers: {len(self.outliers)}, refused: {len(self.refused)}"
-        return f"FleetTable({counts}; print(table.summary()) shows all)"
-
-    def summary(self) -> str:
-        """Summarise the fleet as text, as ``gtau fleet`` prints it."""
-        from gtau.fleets.table import fleet_page
-        from gtau.report.render.terminal import plain
-
-        return plain(fleet_page(self))
-
-
 @takes(experiments=NAMES, out=PATH, method=TEXT, jobs=WHOLE, dask=TEXT, progress=FUNCTION)
 def fleet(
     experiments: Sequence[str | Path],
@@ -158,8 +143,7 @@ def fleet(
     members, folder = read_fleet(experiments), folder_of(out)
     workers = dask_workers(dask) if dask is not None else processes(min(jobs or os.cpu_count() or 1, len(members)))
     with workers as mapper:
-        table = fleet_table(identify_fleet(members, folder, mapper, method, progress or silent))
-    return FleetTable(**vars(table))
+        return fleet_table(identify_fleet(members, folder, mapper, method, progress or silent))
 
 
 def identify_fleet(

@@ -15,6 +15,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.findings import counted
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, table_of
+from gtau.report.render.terminal import plain
 
 if TYPE_CHECKING:
     import polars as pl
@@ -70,13 +71,17 @@ class JointOfFleet:
     comparable: bool
 
 
-@dataclass(frozen=True)
-class FleetGains:
-    """Every gain of every robot, the joints over the fleet, and the refused robots with the reason."""
+@dataclass(frozen=True, repr=False)
+class FleetTable:
+    """What :func:`fleet` finds: every gain of every robot, the joints over the fleet, and the refused robots, why."""
 
     gains: tuple[FleetGain, ...]
     joints: tuple[JointOfFleet, ...]
     refused: tuple[tuple[str, str], ...]
+
+    def __repr__(self) -> str:
+        counts = f"robots: {len(self.robots)}, outliers: {len(self.outliers)}, refused: {len(self.refused)}"
+        return f"FleetTable({counts}; print(table.summary()) shows all)"
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -98,8 +103,12 @@ class FleetGains:
         refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in self.refused]
         return pl.DataFrame([asdict(gain) for gain in self.gains] + refused, schema=schema)
 
+    def summary(self) -> str:
+        """Summarise the fleet as text, as ``gtau fleet`` prints it."""
+        return plain(fleet_page(self))
 
-def fleet_table(reports: Sequence[Report]) -> FleetGains:
+
+def fleet_table(reports: Sequence[Report]) -> FleetTable:
     """Compare the gains of each joint over the robots of the same model; see :func:`_median_and_spread`."""
     gains, freedoms = list[FleetGain](), list[float]()
     for report in reports:
@@ -134,7 +143,7 @@ def fleet_table(reports: Sequence[Report]) -> FleetGains:
                 distance, limit = float(z[place]), float(limits[place])
                 gains[k] = replace(gains[k], z=distance, limit=limit, outlier=abs(distance) > limit)
     refused = tuple((report.robot, report.sentence) for report in reports if report.model is None)
-    return FleetGains(tuple(gains), tuple(joints), refused)
+    return FleetTable(tuple(gains), tuple(joints), refused)
 
 
 def _median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, float]:
@@ -183,7 +192,7 @@ LISTED = 20  # most outliers or refused robots that are listed
 NAMED = 40  # most robots whose names fit below the axis
 
 
-def fleet_document(fleet: FleetGains) -> dict[str, Any]:
+def fleet_document(fleet: FleetTable) -> dict[str, Any]:
     """Describe the fleet as a JSON document: joints over the fleet, gains by robot, robots that were refused."""
     return {
         "schema": "gtau-fleet/1",
@@ -193,7 +202,7 @@ def fleet_document(fleet: FleetGains) -> dict[str, Any]:
     }
 
 
-def fleet_page(fleet: FleetGains, full: bool = False) -> Page:
+def fleet_page(fleet: FleetTable, full: bool = False) -> Page:
     """Show each joint over the robots, outliers and refused robots; in ``full`` also every gain of every robot."""
     gains = table_of(fleet.gains, *GAIN, (Column("why"), "why"), name="gains-table")
     charts = [fleet_chart(fleet, joint) for joint in fleet.joints if full]
@@ -224,7 +233,7 @@ def fleet_page(fleet: FleetGains, full: bool = False) -> Page:
     )
 
 
-def _verdict(fleet: FleetGains) -> Section:
+def _verdict(fleet: FleetTable) -> Section:
     outliers, robots = fleet.outliers, {gain.robot for gain in fleet.outliers}
     if not fleet.robots:
         words, style = "No robot could be identified.", "bad"
@@ -256,7 +265,7 @@ GAIN: tuple[ColumnOf, ...] = (
 """Columns of a gain and their cells."""
 
 
-def _remarks(fleet: FleetGains) -> list[str]:
+def _remarks(fleet: FleetTable) -> list[str]:
     """List hints on the outliers."""
     joints = Counter(gain.robot for gain in fleet.gains)
     signs = Counter((gain.robot, "large" if (gain.difference_percent or 0) > 0 else "small") for gain in fleet.outliers)
@@ -270,7 +279,7 @@ def _remarks(fleet: FleetGains) -> list[str]:
     return hints
 
 
-def fleet_chart(fleet: FleetGains, joint: JointOfFleet) -> Chart:
+def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
     """Draw gains of a joint on all robots, in per cent of the median, with 95 % intervals and the spread."""
     gains = [
         gain
@@ -296,7 +305,7 @@ def fleet_chart(fleet: FleetGains, joint: JointOfFleet) -> Chart:
     return Chart((panel,), caption="The band is the spread of the fleet." * (joint.spread > 0))
 
 
-def write_fleet(fleet: FleetGains, out: Path) -> list[Path]:
+def write_fleet(fleet: FleetTable, out: Path) -> list[Path]:
     """Write ``gains.csv`` and ``gains.parquet``."""
     frame, written = fleet.to_frame(), [out / "gains.csv", out / "gains.parquet"]
     for path in written:
