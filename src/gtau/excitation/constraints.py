@@ -104,12 +104,8 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
     for j, joint in enumerate(map(task.model.robot.joint, task.model.actuated)):
         low, high = limits.position[j]
         for order, scale in enumerate([(high - low) / 2, *limits.rates[:, j]]):
-            rows = partial(_series_rows, point, order, j, scale)
+            rows = partial(point.rows_of, order, j, scale)
             yield from _of_joint(joint, order, point.joints[order, j], scale, (low + high) / 2, rows)
-
-
-def _series_rows(point: Point, order: int, j: int, scale: float) -> np.ndarray:
-    return point.rows_of(order, j) / scale
 
 
 def _passive(point: Point) -> Iterator[ConstraintUsage]:

@@ -213,11 +213,11 @@ class Point:
         rows = by.transpose(2, 1, 0) @ self.grid.basis[:3].transpose(1, 0, 2) * series.half[:, None]
         return np.asarray(rows.reshape(len(rows), series.size))
 
-    def rows_of(self, order: int, joint: int) -> np.ndarray:
-        """Compute the gradients (N, series.size) of a joint's position, velocity, acceleration or jerk."""
+    def rows_of(self, order: int, joint: int, scale: float) -> np.ndarray:
+        """Compute the gradients (N, series.size) of a joint's position, velocity, acceleration or jerk over a scale."""
         series, samples = self.task.series, self.joints.shape[2]
         rows = np.zeros((samples, len(series.center), series.free))
-        rows[:, joint] = self.grid.basis[order] * series.half[joint]
+        rows[:, joint] = self.grid.basis[order] * series.half[joint] / scale
         return rows.reshape(samples, series.size)
 
 

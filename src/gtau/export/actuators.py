@@ -100,22 +100,21 @@ class Actuator:
         chosen, armature = self.chosen, self.armature
         regrouped = {"not_identifiable_apart_from": self.regrouped, "with_exported_bodies": chosen["ia"]}
         entry = {
-            "current_to_torque": _described(self.gain, self.gain.unit),
-            "delay": _described(self.delay, "s"),
-            "armature": regrouped if armature is None else _described(armature, armature.unit),
+            "current_to_torque": _described(self.gain),
+            "delay": _described(self.delay),
+            "armature": regrouped if armature is None else _described(armature),
             "damping": chosen["fv"],
             "frictionloss": chosen["fs"],
             "offset": chosen["off"],
         }
-        entry |= {key: _described(estimate, estimate.unit) for key, estimate in self.electrical.items()}
+        entry |= {key: _described(estimate) for key, estimate in self.electrical.items()}
         more = {"damping_cubic": chosen["f3"], "effort": self.limits.effort, "velocity": self.limits.velocity}
         return entry | {key: value for key, value in more.items() if value}
 
 
-def _described(estimate: Estimate, unit: str) -> dict[str, Any]:
+def _described(estimate: Estimate) -> dict[str, Any]:
     interval = estimate.interval()
-    described: dict[str, Any] = {"value": estimate.value, "unit": unit}
-    return described | ({} if interval is None else {"interval": list(interval)})
+    return {"value": estimate.value, "unit": estimate.unit} | ({"interval": list(interval)} if interval else {})
 
 
 def _actuators(model: ConsistentModel) -> list[Actuator]:

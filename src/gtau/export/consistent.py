@@ -1,9 +1,7 @@
 """Physically consistent standard parameters of a result, for rigid-body engines, and what these engines lack.
 
-A file without loops cannot describe a robot with loops. It states the inertia at the motors with loops closed instead:
-at rest, torques are ``M(q) qdd + g(q)`` with ``M = J^T I J``, where I is the inertia of all bodies and rotors in the
-coordinates of the tree, and J their motion by the motors. A tree of motors only with the ``M`` at home as armature
-moves like the robot near home, apart from gravity.
+A file without loops states the inertia at the motors with loops closed instead: ``M = J^T I J``, where I is the inertia
+of all bodies and rotors in the coordinates of the tree, and J their motion by the motors.
 """
 
 from __future__ import annotations
