@@ -33,9 +33,7 @@ from gtau.signals.reading.statements import FIRST_MOMENTS, Drive, Payload
 from gtau.signals.run import Run
 from gtau.uses.prediction import torques
 
-# of 23 choices between eight motions of five-bars and Orthoglides, 14 fell on the longer and six on a slower motion,
-# none on 70 or 50 % of the amplitude or the reverse order of loads, which are no longer tried
-SPEEDS = (0.7, 0.5)
+SPEEDS = (0.7, 0.5)  # of eight kinds of motions 20 of 23 choices fell on longer and slower ones
 HEAVIER = 2.0  # mass of a payload that is not at hand over the mass of the heaviest payload
 BESIDE = 0.08  # m from the axis of the last joint to the centre of a payload mounted beside it
 

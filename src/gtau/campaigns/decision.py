@@ -31,8 +31,7 @@ from gtau.uses.identify import identify
 
 ROUNDS = 5  # after which a campaign ends
 WORTH = 0.9  # share of the widest interval that a motion must reach, or the campaign ends
-# share of the residual variance: 0.00 in nine results of healthy five-bars, 0.41 with a falling gain
-SHOWN = 0.05
+SHOWN = 0.05  # share of the residual variance from which an effect counts
 STRETCHED = 0.9  # share of the speed below which a motion was not played as designed
 # effects that a warm-up reduces: shown by none of 87 results of healthy robots in MuJoCo, and by all four with friction
 # falling by 10 or 30 % with time constants of 30 to 300 s

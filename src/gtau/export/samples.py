@@ -34,13 +34,7 @@ TRUST = 0.3  # relative standard deviation of a body's mass where the data say n
 FREEDOM = 2 / TRUST**2  # of the Wishart distribution, whose diagonal has the relative variance 2 / freedom
 EXPONENT = (FREEDOM - 5) / 2  # of the determinant of a 4 x 4 matrix
 THINNER = 0.02  # least radius of gyration of a body, in lengths of the robot: files have point masses
-LEAST = 0.1
-"""Share of a correlation's variance that directions without scatter have: the jackknife has few blocks.
-
-Correlations from 64 blocks are known to 0.1. Of a logged UR10e 13 of 77 directions have none: at 1e-4 even the
-consistent estimate, which fits its logs as well, is 100 standard deviations from the estimates, where the truth is at
-8.7 in the median; at 0.03 it is 9.0. At 0.1 the draws of simulated arms hold the truth (benchmarks/sim_to_real.py).
-"""
+LEAST = 0.1  # share of a correlation's variance that directions without scatter have: the jackknife has few blocks
 BARRIER = 0.1  # exponent of what is not negative: small beside FREEDOM
 SMALL = 1e-3  # natural sizes: where the search for what is not negative begins
 GIVEN = 1e-6  # natural sizes: standard deviation of what has none

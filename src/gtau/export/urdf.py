@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import yaml
+from scipy.spatial.transform import Rotation
 
 from gtau.documents.files import identifier
 from gtau.errors import GtauError
@@ -24,7 +25,7 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import KINDS, RigidBody, gain_unit, rigid_body, torque_unit, unit_of
-from gtau.robots.placement import Placement, Pose, compose, pose_of, turn
+from gtau.robots.placement import Placement, Pose, compose, pose_of
 from gtau.robots.robot import GROUND, ROTATIONS, STIFFNESS, TRANSLATIONS, Coupling, Joint, Platform, Robot, Spring
 
 ROOT = "base"
@@ -143,14 +144,9 @@ def _platform(root: Element, platform: Platform, turned: Pose, body: RigidBody) 
 
 def _to_vertical(robot: Robot) -> Pose:
     """Compute the pose of the robot's ground in the root link, whose -z is gravity."""
-    down = np.array(robot.gravity) / (np.linalg.norm(robot.gravity) or 1.0)
-    axis, cosine = np.cross(down, (0.0, 0.0, -1.0)), -down[2]
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        rotation = np.eye(3) if cosine >= 0 else turn(np.array([1.0, 0.0, 0.0]), np.pi)
-    else:
-        rotation = turn(axis / sine, float(np.arctan2(sine, cosine)))
-    return pose_of(rotation, np.zeros(3))
+    vertical = (0.0, 0.0, -1.0)
+    turned, _ = Rotation.align_vectors([vertical], [robot.gravity if any(robot.gravity) else vertical])
+    return pose_of(turned.as_matrix(), np.zeros(3))
 
 
 def inertial_element(body: RigidBody) -> Element:

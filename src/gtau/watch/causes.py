@@ -57,9 +57,8 @@ SIGNAL_FAULTS = ("frozen", "exchanged", "rub", "ripple")
 FEW_VALUES = 8  # most positions of a frozen encoder; a joint with 4096 steps a turn takes more within a degree
 STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command's scatter elsewhere meanwhile: of
 # joints at rest in healthy logs of a UR10e, 8 of 30 exceed both, but all quantities leave nothing there
-GROWN = 2.0  # residual squares of a joint over healthy logs: at most 1.8 in 14 healthy logs of two measured arms
-LEFT = 0.5  # share of the excess residual that the right fault leaves: at most 0.04 for 46 faults put into healthy logs
-# of a five-bar, a UR10e and an xMate 7 Pro; 11 and more for the same faults in logs with lags of 20 and 40 ms
+GROWN = 2.0  # residual squares of a joint over healthy logs
+LEFT = 0.5  # share of the excess residual that the right fault leaves
 NODES = 61  # of a piecewise linear function over a joint's range
 STEPS = np.tri(NODES) / np.sqrt(NODES)  # its steps from node to node are what is random
 LOOSE = 50.0  # times the residual of the model: standard deviation of the function before the data
