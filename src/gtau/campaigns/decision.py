@@ -36,7 +36,6 @@ STRETCHED = 0.9  # share of the speed below which a motion was not played as des
 # effects that a warm-up reduces: shown by none of 87 results of healthy robots in MuJoCo, and by all four with friction
 # falling by 10 or 30 % with time constants of 30 to 300 s
 DRIFTS = {FRICTION_DRIFT.name, GAIN_DRIFT.name}
-# no motion shows it
 MASS_NOTE = "gains are proportional to the payload's mass: they are as exact as its weighing"
 RANDOM, MODEL, CONFIRM = "random part", "model part", "confirm"
 DONE, STOPPED, BLOCKED = "done", "stopped", "blocked"

@@ -25,8 +25,7 @@ PLAYED, DECISION, ASIDE = "played.json", "decision.json", "set-aside.txt"
 WARM_UP = "warm-up"  # name of a run that is played but not evaluated
 RATE = 250.0  # Hz, accepted by common controllers
 PAYLOAD = "payload"
-# loaded runs: drift affects both loads alike, and the payload is mounted once
-ORDER = (False, True, True, False)
+ORDER = (False, True, True, False)  # loaded runs: drift affects both loads alike, and the payload is mounted once
 
 
 class Settings(Keys):

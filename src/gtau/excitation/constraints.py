@@ -17,13 +17,11 @@ from gtau.robots.robot import Joint
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 PER = ("", "/s", "/s2", "/s3")
-# poses between rest and the beginning of the motion, in which the search checks distances
-APPROACH = 12
+APPROACH = 12  # poses between rest and the beginning of the motion, in which the search checks distances
 WAY = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2))[0][0]  # from 0 to 1
 MARGIN = 0.97  # share of every limit for a first design: between instants speeds exceed it by up to 2 %
 CONDITION, TOOL_SPEED = "condition", "tool speed"
-# durations of an approach to try; four times takes 1/16 of the acceleration
-SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)
+SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # durations of an approach to try; four times takes 1/16 of the acceleration
 
 
 @dataclass(frozen=True, eq=False)

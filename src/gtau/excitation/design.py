@@ -24,8 +24,7 @@ CLOSER = 0.8  # factor on the limits of kinds REACH after a round in which loops
 REACH = ("position", CONDITION)
 TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
-# scales tried for an interrupted motion; the first within all limits is kept
-SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)
+SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # scales tried for an interrupted motion; the first within all limits is kept
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -24,8 +24,7 @@ from gtau.robots.readers.urdf_tree import origin_of, read_urdf_tree
 from gtau.robots.readers.xml_document import numbers
 from gtau.robots.robot import GROUND, Joint, Robot
 
-# radius of a link of unknown shape over the arm's length: UR10e 0.07 m, Panda 0.06 m, like their tubes
-SLENDER = 0.04
+SLENDER = 0.04  # radius of a link of unknown shape over the arm's length: UR10e 0.07 m, Panda 0.06 m
 STUBBY = 0.4  # largest radius over the length of the link
 ROOM = 1.1  # distance of the resting arm from a guessed floor, over the clearance
 STATES = 64  # random poses that show whether a distance can change

@@ -243,8 +243,7 @@ class _Function(ca.Callback):
 TRIES = 40  # scales of a random motion
 CENTERS = 200  # random poses; the one with the most room is the center of a random motion
 SPREAD = 0.7  # share of the ranges in which centers are drawn
-# random motions; the best is a start. One takes a hundredth of the time of the search that follows
-DRAWS = 20
+DRAWS = 20  # random motions; the best is a start. One takes a hundredth of the time of the search that follows
 
 
 def promising_start(task: DesignProblem, criterion: str, rng: np.random.Generator, part: float) -> np.ndarray | None:

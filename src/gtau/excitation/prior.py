@@ -27,12 +27,9 @@ from gtau.signals.reading.statements import FIRST_MOMENTS, Drive, Payload
 FRICTION = 0.1  # guessed Coulomb friction, and viscous friction at the speed limit, over the rms torque
 MODERATE = 0.15  # guessed rms torque over the effort limit
 NOISE = 0.005  # guessed noise of a current sample over the effort limit
-# factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
-ERROR = 1.25
-# m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
-ARM = 0.05
-# Drives over the effort limits used, 80 % of the file's. A UR10e over its file: Coulomb friction 5 to 14 %,
-# viscous friction at the speed limit 8 to 41 %, rotors 0.009 to 0.010 kg m2 per N m.
+ERROR = 1.25  # factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
+ARM = 0.05  # m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
+# over the effort limits, 80 % of the file's; a UR10e over its file: 5 to 14 %, 8 to 41 % at the speed limit, 0.01 kg m2
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
 STATES = 200
 

@@ -20,8 +20,7 @@ from gtau.model.program import Program, compile_program
 from gtau.robots.parameter import Parameter
 
 SHORTEST_APPROACH = 1.0  # s
-# duration over the shortest within speed, acceleration and jerk, so that currents stay within theirs
-GENTLE = 2.0
+GENTLE = 2.0  # duration over the shortest within speed, acceleration and jerk, so that currents stay within theirs
 PEAKS = (1.875, 10 / 3**0.5, 60.0)  # largest speed, acceleration and jerk of a quintic move by 1 in 1 s
 
 

@@ -55,8 +55,7 @@ RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of 
 
 SIGNAL_FAULTS = ("frozen", "exchanged", "rub", "ripple")
 FEW_VALUES = 8  # most positions of a frozen encoder; a joint with 4096 steps a turn takes more within a degree
-STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command's scatter elsewhere meanwhile: of
-# joints at rest in healthy logs of a UR10e, 8 of 30 exceed both, but all quantities leave nothing there
+STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command's scatter elsewhere meanwhile
 GROWN = 2.0  # residual squares of a joint over healthy logs
 LEFT = 0.5  # share of the excess residual that the right fault leaves
 NODES = 61  # of a piecewise linear function over a joint's range

@@ -57,8 +57,7 @@ from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_
 STEP = 1e-3  # rad or m of an encoder zero, or share of the rate: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 STATES = 50  # at random, at which the zero of a joint moves some torque, or none does
-UNSEEN = 1e-6  # of the largest torque, per degree: 0 of the vertical axes of three arms, 6e-8 with a rounded pi/2 in
-# the file; 4e-5 and more of all other axes, least of the last one of a UR10e
+UNSEEN = 1e-6  # of the largest torque, per degree, below which the zero of a joint moves no torque
 SPANNED = 1e-6  # of the square of a column: below this residual it depends linearly on the others
 VISIBLE = 0.03  # of a joint's rms torque: most that a change of one standard deviation may move it
 LARGEST_ZERO = 1.0  # deg or mm: an encoder zero with a larger standard deviation is not observable
