@@ -100,8 +100,8 @@ def constraint_usages(point: Point, share: np.ndarray | None = None) -> Iterator
 def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
     task, limits = point.task, point.task.limits
     for j, joint in enumerate(map(task.model.robot.joint, task.model.actuated)):
-        low, high = limits.position[j]
-        for order, scale in enumerate([(high - low) / 2, *limits.rates[:, j]]):
+        low, high = limits.position[j].tolist()
+        for order, scale in enumerate([(high - low) / 2, *limits.rates[:, j].tolist()]):
             rows = partial(point.rows_of, order, j, scale)
             yield from _of_joint(joint, order, point.joints[order, j], scale, (low + high) / 2, rows)
 
@@ -116,8 +116,7 @@ def _passive(point: Point) -> Iterator[ConstraintUsage]:
             for order, (values, scale) in enumerate(zip((motion.c, motion.yd), scales, strict=True)):
                 slopes = np.zeros((2 * n_c, motion.c.shape[1]))
                 slopes[n_c * order + row] = 1 / scale
-                rows = partial(point.rows, slopes)
-                yield from _of_joint(joint, order, values[row], scale, (low + high) / 2, rows)
+                yield from _of_joint(joint, order, values[row], scale, (low + high) / 2, partial(point.rows, slopes))
 
 
 def _of_joint(
@@ -127,7 +126,8 @@ def _of_joint(
     if np.isfinite(scale):
         what, unit = f"{ORDERS[order]} of joint '{joint.name}'", joint.unit + PER[order]
         used, center = (values / scale, None) if order else ((values - middle) / scale, middle)
-        yield ConstraintUsage(ORDERS[order], what, float(scale), unit, used, rows, middle=center)
+        kind = ORDERS[order] if joint.actuated else "passive"
+        yield ConstraintUsage(kind, what, scale, unit, used, rows, middle=center)
 
 
 def _drives(point: Point) -> Iterator[ConstraintUsage]:
