@@ -9,7 +9,8 @@ from .excitation.design_file import read_design as read_design
 from .excitation.task import DesignProblem as DesignProblem
 from .export.exported import Exported as Exported, export_model as export_model
 from .export.payload import export_payload as export_payload
-from .fleets.fleet import FleetTable as FleetTable, fleet as fleet
+from .fleets.fleet import fleet as fleet
+from .fleets.table import FleetTable as FleetTable
 from .model.base_parameters import BaseParameters as BaseParameters, base_parameters as base_parameters
 from .model.home import load_robot as load_robot
 from .model.inverse_dynamics import InverseDynamics as InverseDynamics
