@@ -440,6 +440,21 @@ def test_a_first_moment_in_metres_is_recognised(tmp_path: Path) -> None:
     assert "if 0.05 is in m, write 'mx: 0.25'" in payload.verdict.advice
 
 
+def test_moments_that_the_data_know_together_alone_are_both_named() -> None:
+    """Two axes that intersect feel no mass, so that the scale rests on first moments, of which they know the ratio."""
+    second = Joint("2", "1", "revolute", Mdh(alpha=np.pi / 2))
+    model = InverseDynamics(replace(ARM, joints=(ARM.joints[0], second), gravity=(0.0, 0.0, -9.80665)))
+    chi = {name: value for name, value in arm().chi.items() if not name.endswith("_3")}
+    wrist = SensedPlant(model, chi, ARM_GAINS[:2], (0.2, 0.5), (0.5, 0.6), tool="2")
+    carried = {"m": 1.5, "mx": 0.2, "my": 0.15, "xx": 0.02, "yy": 0.03, "zz": 0.05}
+    known = Payload(name="block", mass=1.5, parameters={"mx": 0.24, "my": 0.15})
+    (payload,) = identify(model.robot, [wrist.run(1), wrist.run(2, payload=carried, known=known)]).payloads
+    assert payload.verdict.outcome == Grade.CONTRADICTORY
+    assert re.search(
+        r"its mx is 0\.20.*not 0\.24 kg m; or as likely, .*its my is 0\.1.*not 0\.15 kg m; check", str(payload.verdict)
+    )
+
+
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [

@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import explained_joints, refitted, residual_ratio
 from gtau.estimation.diagnostics.verdict import APART, GOOD, WIDTH, contradiction, motors
-from gtau.estimation.effects.estimate import estimate_effects
+from gtau.estimation.effects.estimate import CLOSE, estimate_effects
 from gtau.estimation.effects.rows import weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve
 from gtau.estimation.estimators.newton import solve
@@ -305,8 +305,12 @@ def weigh_known(fit: Fit, method: str, accuracy: float, references: Sequence[Fin
     verdicts = {}
     for name, payload in known.items():
         tried = (_freed(fit, method, payload, kind, accuracy) for kind in (*masses, *payload.parameters))
-        if freed := [result for result in tried if result is not None]:
-            verdicts[name] = min(freed, key=lambda result: result[0])[1]
+        if freed := sorted(filter(None, tried), key=lambda result: result[0]):
+            least, verdicts[name] = freed[0]
+            alike = [verdict for left, verdict in freed if left < least + CLOSE and verdict.outcome != Grade.GOOD]
+            if len(alike) > 1 and verdicts[name] is alike[0]:  # axes that intersect know a ratio of moments alone
+                text = "; or as likely, ".join(verdict.text for verdict in alike)
+                verdicts[name] = replace(alike[0], text=text, advice="check these values, and the payload's frame")
     return verdicts
 
 
