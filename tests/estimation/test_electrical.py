@@ -127,7 +127,7 @@ def test_an_assumed_efficiency_of_commutation_makes_no_good_gain_just_within_the
     assert known.verdict.outcome == Grade.GOOD
 
 
-@pytest.mark.parametrize("mass", [1.14, 1.2, 1.26])
+@pytest.mark.parametrize("mass", [pytest.param(1.14, marks=pytest.mark.slow), 1.2, 1.26])
 def test_a_payload_stated_wrong_by_five_per_cent_is_found(mass: float) -> None:
     result = identify(load_robot("five-bar"), [run(1), run(2, mass=mass)])
     if mass == 1.2:

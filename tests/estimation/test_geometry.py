@@ -124,7 +124,7 @@ def test_constants_of_placements_in_coordinates() -> None:
 
 @pytest.mark.parametrize(
     ("name", "joint", "length"),
-    [("ur10e", "elbow_joint", "d"), ("orthoglide", "41", "d")],
+    [("ur10e", "elbow_joint", "d"), pytest.param("orthoglide", "41", "d", marks=pytest.mark.slow)],
 )
 def test_a_length_one_per_cent_off(name: str, joint: str, length: str, rng: np.random.Generator) -> None:
     """The controller's pose confirms the right length, and finds one that is wrong by 1 %."""

@@ -118,7 +118,7 @@ def test_gravity_is_not_missing_where_the_logs_contradict_it() -> None:
     assert without.cause.values["remains"] < 0.1
 
 
-@pytest.mark.parametrize("degrees", [pytest.param(10.0, marks=pytest.mark.slow), 17.0, 30.0])
+@pytest.mark.parametrize("degrees", [*(pytest.param(angle, marks=pytest.mark.slow) for angle in (10.0, 17.0)), 30.0])
 def test_a_zero_of_the_first_joint_is_told_beside_the_tilt_that_it_equals(degrees: float) -> None:
     """Within the range of linear columns and beyond it, no gain is good."""
     robot = replace(scara(), gravity=(0.0, -G, 0.0))  # its first two axes are level

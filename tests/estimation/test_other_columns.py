@@ -31,7 +31,7 @@ def parallelogram(robot: Robot) -> tuple[str, Robot]:
     return joint, other
 
 
-@pytest.mark.parametrize("joint", ["j2", "wrist_1_joint"])
+@pytest.mark.parametrize("joint", ["j2", pytest.param("wrist_1_joint", marks=pytest.mark.slow)])
 def test_one_reversed_torque_is_named(tmp_path: Path, joint: str) -> None:
     robot = UR10E if joint in UR10E.actuated else stated_arm.robot(tmp_path, inertias=False)
     signs = np.where(np.array(robot.actuated) == joint, -1.0, 1.0)
@@ -53,7 +53,9 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("words", [*FAULTS, ""])
+@pytest.mark.parametrize(
+    "words", [pytest.param(word, marks=pytest.mark.slow) if "1000" in word else word for word in (*FAULTS, "")]
+)
 def test_a_fault_of_one_run_is_told_with_the_run(words: str) -> None:
     plant = Plant(noise=0.01)
     runs = [*pair(plant), plant.run("again", 8.0, seed=3), plant.run("odd", 8.0, seed=4)]

@@ -47,7 +47,7 @@ def cause_of(result: Result) -> dict:
     [
         ((False, True), {"run 1": BODY["m"]}),
         pytest.param((False, True, False), {"run 1": BODY["m"]}, marks=pytest.mark.slow),
-        ((True, True, False), {"run 2": -BODY["m"]}),
+        pytest.param((True, True, False), {"run 2": -BODY["m"]}, marks=pytest.mark.slow),
     ],
 )
 def test_an_undeclared_body_is_named_and_the_file_is_not_blamed(

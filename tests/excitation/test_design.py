@@ -206,7 +206,7 @@ def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
     assert "no motion within the limits was found" in str(refusal.value)
 
 
-@pytest.mark.parametrize(("below", "above", "seed"), [(1.5, 1.5, 2), (0.3, 2.2, 0)])
+@pytest.mark.parametrize(("below", "above", "seed"), [pytest.param(1.5, 1.5, 2, marks=pytest.mark.slow), (0.3, 2.2, 0)])
 def test_loops_that_cannot_be_closed_on_the_way_are_left_to_the_search(
     tmp_path: Path, below: float, above: float, seed: int
 ) -> None:

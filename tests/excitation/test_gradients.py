@@ -101,7 +101,11 @@ def sprung() -> Robot:
     return replace(four_bar(), name="sprung", springs=(Spring("coil", *ends, SPRING),))
 
 
-@pytest.mark.parametrize("robot", [four_bar(), hexapod(), palletizer(), sprung()], ids=lambda robot: robot.name)
+@pytest.mark.parametrize(
+    "robot",
+    [four_bar(), pytest.param(hexapod(), marks=pytest.mark.slow), palletizer(), sprung()],
+    ids=lambda robot: robot.name,
+)
 def test_slopes_through_closures_agree_with_differences(robot: Robot, rng: np.random.Generator) -> None:
     model = InverseDynamics(robot)
     back = Pullback(model)

@@ -163,7 +163,11 @@ def test_rows_need_not_stand_together(rng):
     assert np.array_equal(program(np.asfortranarray(values[::2])), expected)
 
 
-@pytest.mark.parametrize("robot", [load_robot("orthoglide"), hexapod(), seven_r()], ids=lambda robot: robot.name)
+@pytest.mark.parametrize(
+    "robot",
+    [load_robot("orthoglide"), pytest.param(hexapod(), marks=pytest.mark.slow), seven_r()],
+    ids=lambda robot: robot.name,
+)
 def test_threads_change_nothing(robot, monkeypatch):
     """Bit for bit, closures included."""
     q, qd, qdd = trajectory(robot, np.linspace(0.0, 12.0, 5003))

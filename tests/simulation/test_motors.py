@@ -30,7 +30,7 @@ def described(logs: list[str], seconds: float = 12.0, drive: dict[str, float] | 
     ("logs", "drive", "more"),
     [
         (["voltage"], {"inductance": 1e-3}, {}),
-        (["duty", "supply_voltage"], {"convention": "amplitude"}, {}),
+        pytest.param(["duty", "supply_voltage"], {"convention": "amplitude"}, {}, marks=pytest.mark.slow),
         (["goal", "supply_voltage"], {"proportional_gain": 20.0, "dead_band": 0.0}, {"log_rate": 250}),
     ],
 )
