@@ -138,7 +138,9 @@ def test_no_zero_of_a_five_bar_equals_a_tilt() -> None:
     assert "the axes of all joints reversed" in _or_as_likely(robot, -np.array(robot.gravity))
     level = replace(scara(), gravity=(0.0, -G, 0.0))
     assert "an error of 90 deg" in _or_as_likely(level, np.array([-G, 0.0, 0.0]))
+    assert "an error of 180 deg" in _or_as_likely(level, np.array([0.0, G, 0.0]))
     assert _or_as_likely(level, np.array([0.0, 0.0, -G])) == ""
+    assert "the axes of all joints reversed" in _or_as_likely(scara(), -np.array(scara().gravity))
 
 
 def test_a_direction_between_the_axes() -> None:

@@ -12,6 +12,7 @@ from five_bar_logs import JOINTS, Plant, pair
 from gravity_logs import logged
 
 from gtau.estimation.diagnostics.columns import _with_parallelogram
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
@@ -96,3 +97,13 @@ def test_other_signs_zeros_and_orders_of_columns_are_named(tmp_path: Path, what:
     result = identify(arm, runs)
     assert what in causes(result)
     assert not result.accepted
+
+
+def test_joints_that_another_description_explains_are_judged_by_it() -> None:
+    """The other sign of one position, beside torques: the model leaves other joints unexplained as well."""
+    signs = np.where(np.array(UR10E.actuated) == "elbow_joint", -1.0, 1.0)
+    runs = [replace(run, position=run.position * signs) for run in logged(UR10E, UR10E.gravity, False)]
+    gains = identify(UR10E, runs).drive_gains
+    wrong = [gain.verdict for gain in gains.values() if gain.verdict.outcome == Grade.CONTRADICTORY]
+    assert len(wrong) > 1
+    assert all(verdict.text.startswith("the other sign of the position of 'elbow_joint'") for verdict in wrong)

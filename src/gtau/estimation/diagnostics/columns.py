@@ -117,7 +117,7 @@ def _readings(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray, np.nd
     unturned, unmoved = np.ones((2, len(as_logged))), np.zeros(len(as_logged))
     for joint, place in encoders(fit).items():
         chosen = (as_logged == place).astype(float)
-        for alone in (True, False) if fit.free_gains else (False,):
+        for alone in (True, False):
             columns = "the position" if alone else f"position and {fit.kind}"
             text = f"the other sign of {columns} of '{joint}'"
             advice = f"check the sign of {columns}, and the joint's axis in the robot file"

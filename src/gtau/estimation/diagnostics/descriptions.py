@@ -123,7 +123,8 @@ def described_otherwise(
     change = 100 * (other.gains / unaltered.gains - 1) if unaltered.free_gains else np.zeros(len(unaltered.gains))
     moves = dict(zip(unaltered.dataset.model.actuated, change.tolist(), strict=True))
     moves = {joint: moves[joint] for joint in unaltered.dataset.robot.motors}
-    cause = replace(cause, values={**cause.values, "remains": residual_ratio(other, unaltered)})
+    values = {"remains": residual_ratio(other, unaltered), "explained": explained_joints(unaltered, other)}
+    cause = replace(cause, values={**cause.values, **values})
     return EstimatedEffect(effect, cause, 1.0, 0.0, "", likelihood, share, moves, description=True)
 
 

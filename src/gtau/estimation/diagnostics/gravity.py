@@ -171,11 +171,11 @@ def _or_as_likely(robot: Robot, gravity: np.ndarray) -> str:
     """Say what else looks like another gravity: a zero of the joint that carries all others, or reversed axes."""
     first, declared = robot.joints[0], np.array(robot.gravity)
     alone = [joint for joint in robot.joints if joint.antecedent == first.antecedent] == [first]
-    turn, axis = np.cross(gravity, declared), np.array(first.placement.rotation) @ np.array(first.axis)
-    level = np.isclose(abs(turn @ axis), np.linalg.norm(turn), rtol=1e-3)
+    axis = np.array(first.placement.rotation) @ np.array(first.axis)
+    level = np.allclose([_degrees(axis, along) for along in (gravity, declared)], 90, rtol=0, atol=2.5)
     if not (alone and level and first.turns and first.name in robot.motors) or robot.closures or robot.couplings:
         return ", or the axes of all joints reversed" if _degrees(-gravity, declared) < GRAVITY_LEAST else ""
-    angle = np.sign(turn @ axis) * _degrees(gravity, declared)
+    angle = np.copysign(_degrees(gravity, declared), np.cross(gravity, declared) @ axis)
     return f", or as likely an error of {angle:.3g} deg in the zero of encoder '{first.name}'"
 
 
