@@ -13,6 +13,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose, estimates_of, examine
+from gtau.estimation.diagnostics.gains import REFUTED
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
@@ -102,7 +103,8 @@ def _attempted(
     except GtauError:
         require_payload_excitation(system)
         raise
-    if _outcomes(result) <= NO_GAIN:
+    kinds = {gain.verdict.kind for gain in result.drive_gains.values()}
+    if _outcomes(result) <= NO_GAIN and REFUTED not in kinds:  # another description tells more
         require_payload_excitation(system)
     return result
 

@@ -6,7 +6,7 @@ a linear test points anywhere: the robot is fitted again.
 - With a body at the tool in some runs: its ten inertial columns (eq. 18) are unknown in the run where that explains
   most, then in a second one, as long as it explains much more. An unknown load explains part of any fault of one run
   alone; only a mass far from the declared one is a body.
-- With payloads on another body.
+- With payloads on another body, or in another run.
 - Without one of the runs: where the others agree, they predict its currents, which may have another sign or unit.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import permutations
 
 import numpy as np
 
@@ -44,7 +44,7 @@ REFUTED_STD = 6.0  # size of another description in standard deviations
 MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
 
 TOOL_BODIES, TOOL_BODY, PAYLOAD_BODY = "tool bodies", "body at the tool", "payload on another body"
-ODD_RUN, COLUMNS = "odd run", "columns"
+EXCHANGED_LOADS, ODD_RUN, COLUMNS = "payload of another run", "odd run", "columns"
 
 
 def refitted(
@@ -205,11 +205,7 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
     # a body in some runs is one that the others lack: more is forgotten than taken away; gains of the other sign fit
     # other loads
     carried, other = one_after_the_other(unaltered, loaded, range(len(runs)), max(len(runs) - 1, 1), LEFT, preferred)
-    if not carried:  # a load declared in another run shows once both are free
-        pairs = [pair for pair in combinations(range(len(runs)), 2) if declared[pair[0]] != declared[pair[1]]]
-        exchanged = [(pair, fitted) for pair in pairs if (fitted := loaded(pair)) and fitted.gains.min() > 0]
-        carried, other = min(exchanged, key=lambda pair: residual_ratio(pair[1], unaltered), default=((), unaltered))
-    if not carried or residual_ratio(other, unaltered) > LEFT:
+    if not carried:
         return None
     problem, more, std = other.problem, added(other, carried), deviations(other, carried)
     if np.any(np.abs(more) < np.maximum(REFUTED_STD * std, MASS_ABSENT * declared[list(carried)])):
@@ -230,6 +226,23 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
     )
     cause = Finding(TOOL_BODY, joints, values={"bodies": bodies}, text=text, advice=advice)
     return described_otherwise(TOOL_BODIES, cause, other, unaltered)
+
+
+def exchanged_loads(fit: Fit) -> EstimatedEffect | None:
+    """Find the run that carries the payload which another run declares."""
+    runs, tried = fit.dataset.runs, list[tuple[float, str, Fit]]()
+    for one, other in permutations(range(len(runs)), 2):
+        payload, instead = runs[one].payload, runs[other].payload
+        if payload is not None and payload != instead:
+            loads = [{one: instead, other: payload}.get(number, run.payload) for number, run in enumerate(runs)]
+            if (fitted := refitted(fit, loads)) is not None and fitted.gains.min() > 0:
+                text = f"payload '{payload.name}' in run '{runs[other].name}' in place of run '{runs[one].name}'"
+                tried.append((residual_ratio(fitted, fit.unrefined), text, fitted))
+    remains, text, best = min(tried, key=lambda described: described[0], default=(1.0, "", fit))
+    if remains > LEFT:
+        return None
+    cause = Finding(EXCHANGED_LOADS, text=text, advice="check which runs carry the payload")
+    return described_otherwise(TOOL_BODIES, cause, best, fit.unrefined)
 
 
 def _at_the_tool(run: str, more: float, half: float, declared: str) -> str:
