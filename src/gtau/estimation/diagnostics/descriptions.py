@@ -96,13 +96,13 @@ def explained_joints(fit: Fit, other: Fit) -> tuple[str, ...]:
     return tuple(joint for joint, share, less in joints if share > MISFIT_GIVEN >= less)
 
 
-def noise_beside_effects(fit: Fit) -> np.ndarray:
+def noise_beside_effects(fit: Fit, allowed: float = 0.0) -> np.ndarray:
     """Return the standard deviations of what all effects together leave of each channel, (c,); raises GtauError.
 
-    A description beyond the range of its columns explains nothing.
+    They explain nothing where one of them is beyond the range of its columns, with more than an ``allowed`` share.
     """
     result = effects_beside(fit)
-    if result is None or any(effect.beyond for effect in contradictions(result)):
+    if result is None or any(effect.beyond and effect.share >= allowed for effect in contradictions(result)):
         return fit.solution.sigma
     return result.rows.fit.solution.sigma * [noise.std for noise in result.mixed.model.noise]
 
@@ -115,7 +115,7 @@ def described_otherwise(
     None if effects ``beside`` the user's description explain nearly as much as they do beside the other.
     """
     rows, ratio = unaltered.problem.total_rows, other.solution.sigma / unaltered.solution.sigma
-    noise = noise_beside_effects(other) / noise_beside_effects(unaltered) if beside else ratio
+    noise = noise_beside_effects(other, 1 - BESIDE_LEFT) / noise_beside_effects(unaltered) if beside else ratio
     if np.exp(2 * rows @ np.log(noise) / rows.sum()) > BESIDE_LEFT:
         return None
     likelihood = -float(rows @ np.log(ratio))
