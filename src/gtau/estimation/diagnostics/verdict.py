@@ -27,7 +27,7 @@ NEGATIVE_GAIN, FAR_APART, LARGE_CURRENT = "negative gain", "gains far apart", "c
 WIDE_SCALE = "uncertain scale"
 ALONE = frozenset({NEGATIVE_GAIN, FAR_APART, LARGE_CURRENT})
 """Factors of one joint's channel, which its gain takes up whole: the gains of the other joints stay as they are."""
-IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
+IMPOSSIBLE = "check the signs of positions and currents, gravity, the sampling rate, the units and 'preparation'"
 LONGER = "; also use longer runs"
 WRENCHES = (
     "check the signs, axes, point ('at') and body of each wrench, that no wrench is missing, and that all use the "
