@@ -187,7 +187,7 @@ def run_c(
 def draw(shown: dict[str, tuple[Reference, np.ndarray, np.ndarray]], joints: tuple[str, ...], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    from gtau.report.render.charts import save_figure
+    from gtau.report.charts import save_figure
 
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     axes = figure.subplots(len(joints), len(shown), sharex="col", sharey="row")

@@ -30,9 +30,9 @@ from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.progress import Progress, silent
 from gtau.report.chart import Chart, intervals
+from gtau.report.charts import figure_of, robot_figure, save_figure
 from gtau.report.gains import LARGEST
 from gtau.report.page import joint_label
-from gtau.report.render.charts import figure_of, robot_figure, save_figure
 from gtau.report.torques import torques_chart
 from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment

@@ -45,7 +45,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.report.design import trajectory_table
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.robots.readers.native import write_native
 
 PLAYER = Path(__file__).parents[2] / "examples" / "players" / "play_mujoco.py"

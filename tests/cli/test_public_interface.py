@@ -20,7 +20,7 @@ from gtau.cli.console import progress_lines
 from gtau.estimation.identify import EstimatorComparison, MethodRow
 from gtau.findings import Grade
 from gtau.report.gains import comparison_page
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 
 ROOT = Path(__file__).parents[2]
 

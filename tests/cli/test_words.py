@@ -12,7 +12,7 @@ import pytest
 from gtau.errors import GtauError, quoted, tidy
 from gtau.pages import page_text, titles
 from gtau.report.page import Page, Section, Text
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.robots.readers.read import read_robot
 from gtau.signals.reading.drafting import draft_logs, draft_text
 from gtau.signals.reading.logs import read_log

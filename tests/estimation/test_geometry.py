@@ -22,8 +22,8 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
 from gtau.model.lengths import variable_geometry
 from gtau.report.check import check_page
-from gtau.report.render.html import html
-from gtau.report.render.terminal import plain
+from gtau.report.html import html
+from gtau.report.terminal import plain
 from gtau.result import check, load
 from gtau.robots.robot import GROUND, Joint, Mdh, Pose, Robot
 from gtau.signals.reading.body_columns import PoseColumns

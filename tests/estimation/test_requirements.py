@@ -17,7 +17,7 @@ from gtau.report.evidence import RunEvidence, gather
 from gtau.report.identification import report_page, summary_page, verdict_section
 from gtau.report.page import Page, Text
 from gtau.report.parameters import correlation_section, effects_chart
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.report.torques import determination
 from gtau.robots.parameter import parameter_of
 from gtau.signals.preparation.filters import Decimator

@@ -35,7 +35,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding, Grade, by_severity, percent_text
 from gtau.model.home import load_robot
 from gtau.report.identification import summary_page
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.result import Result, identify, load
 from gtau.robots.parameter import parameter_of
 from gtau.signals.reading.drafting import ASSUMED_UNIT, DRAFT

@@ -33,7 +33,7 @@ from gtau.excitation.task import design_grid, evaluate
 from gtau.model.home import load_robot
 from gtau.report.design import design_document, design_page
 from gtau.report.page import Table
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.robots.readers.read import CATALOG
 from gtau.signals.reading.logs import read_log
 

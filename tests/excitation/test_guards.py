@@ -24,7 +24,7 @@ from gtau.excitation.prior import COULOMB, ERROR, ROTOR, VISCOUS, KnownGain, ide
 from gtau.excitation.task import DesignProblem, design_grid, evaluate
 from gtau.findings import Finding, Grade
 from gtau.report.design import design_page
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 
 ARM = """robot: arm
 %s

@@ -21,7 +21,7 @@ from gtau.fleets import fleet
 from gtau.fleets.fleet import Member, identify_fleet, read_fleet
 from gtau.fleets.table import Report, fleet_page, fleet_table
 from gtau.fleets.workers import serial_map
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.result import identify, load
 from gtau.signals.reading.experiment import read_experiment
 

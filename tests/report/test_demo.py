@@ -17,7 +17,7 @@ from gtau.demo.run import COMMANDS, CONTENT, LOGS, MASSES, SIMULATION, demo
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload
@@ -181,8 +181,8 @@ def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None
 def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_path: Path) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     from gtau.estimation.results.estimate import Estimate
+    from gtau.report.charts import figure_of, save_figure
     from gtau.report.gains import gains_chart
-    from gtau.report.render.charts import figure_of, save_figure
 
     before = dict(matplotlib.rcParams)
     matplotlib.rcParams["font.size"] = 20

@@ -13,11 +13,11 @@ from matplotlib.colors import to_hex, to_rgb
 
 from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
+from gtau.report.charts import figure_of, palette
+from gtau.report.html import arrays_for, frame, html, spec_of, words as in_html
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
-from gtau.report.render.charts import figure_of, palette
-from gtau.report.render.html import arrays_for, frame, html, spec_of, words as in_html
-from gtau.report.render.svg import svg_of
-from gtau.report.render.terminal import plain
+from gtau.report.svg import svg_of
+from gtau.report.terminal import plain
 from gtau.report.torques import stretches
 
 NASTY = '<b onclick="x">$steel & co</b>'

@@ -19,10 +19,10 @@ from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.chart import Shape, Word
-from gtau.report.render.charts import robot_figure
-from gtau.report.render.terminal import plain
+from gtau.report.charts import robot_figure
 from gtau.report.robot import robot_document, robot_page
 from gtau.report.robot_figure import scene_of, sketch_of
+from gtau.report.terminal import plain
 from gtau.robots.geometry import float_base, oddities, tool_note
 from gtau.robots.readers.native import native_text, parse_native
 from gtau.robots.readers.read import catalog_names
@@ -317,7 +317,7 @@ def test_no_line_looks_like_a_strut() -> None:
 
 @pytest.mark.parametrize("length", [3e-4, 0.03, 1.0, 350.0])
 def test_picture_has_a_scale_in_any_size(length: float, tmp_path: Path) -> None:
-    from gtau.report.render.charts import save_figure
+    from gtau.report.charts import save_figure
 
     robot = Robot("r", (Joint("1", GROUND, "revolute"), Joint("2", "1", "revolute", Mdh(d=length))))
     (scale,) = [text for text in texts(robot) if text.endswith((" m", " mm"))]

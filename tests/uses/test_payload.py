@@ -20,7 +20,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.report.validation import weighing_page
 from gtau.result import Result, identify
 from gtau.robots.robot import Coupling, Joint, Limits, Mdh, Pose, Robot

@@ -190,7 +190,7 @@ def answer(
         print_json(document())
         return
     if page is not None:
-        from gtau.report.render.terminal import show
+        from gtau.report.terminal import show
 
         show(page())
     for path in written:

@@ -132,7 +132,7 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
         from gtau.estimation.identify import compare as run, comparison_document
         from gtau.report.evidence import inputs_of
         from gtau.report.gains import comparison_page
-        from gtau.report.render.html import write_report
+        from gtau.report.html import write_report
         from gtau.signals.reading.experiment import read_experiment
 
         comparison = replace(run(experiment, progress=progress), notes=guessed)
@@ -164,7 +164,7 @@ def fleet(
     hold(out)
     from gtau.fleets.fleet import fleet as run, read_fleet
     from gtau.fleets.table import fleet_document, fleet_page, write_fleet
-    from gtau.report.render.html import write_report
+    from gtau.report.html import write_report
 
     try:
         with progress_bar() as progress:
@@ -199,7 +199,7 @@ def campaign(
     with progress_bar() as progress:
         from gtau.campaigns.campaign import campaign as run
         from gtau.campaigns.page import campaign_page
-        from gtau.report.render.html import write_report
+        from gtau.report.html import write_report
 
         state = run(folder, robot, payload_mass, accuracy, progress, partial(stop_request, ""))
         report = write_report(campaign_page(state), folder, seconds())

@@ -163,7 +163,7 @@ def check(
         from gtau.estimation.experiment_runs import Options
         from gtau.report.check import check_document, check_page
         from gtau.report.evidence import inputs_of
-        from gtau.report.render.html import write_report
+        from gtau.report.html import write_report
 
         checked = check(experiment, None, Options(method), progress)
     checked = replace(checked, notes=(*checked.notes, *guessed))

@@ -81,7 +81,7 @@ def robot(
             raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
         write_native(described, save)
     if figure is not None:
-        from gtau.report.render.charts import robot_figure, save_figure
+        from gtau.report.charts import robot_figure, save_figure
 
         save_figure(robot_figure(described), figure)
     saved = () if save is None else (Finding("file", text=f"{save} is written"),)
@@ -131,7 +131,7 @@ def excite(
         from gtau.excitation.design_file import read_design
         from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages
-        from gtau.report.render.html import REPORT, write_report
+        from gtau.report.html import REPORT, write_report
 
         task, assumed = read_design(design)
 

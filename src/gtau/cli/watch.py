@@ -159,7 +159,7 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
 
     A report is written at the end, at Ctrl-C, and when the state of a followed robot changes.
     """
-    from gtau.report.render.html import write_report
+    from gtau.report.html import write_report
     from gtau.report.watch import status_words, watch_page, watch_report
 
     history = watched.history.path
@@ -190,7 +190,7 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
 
 def _fleet(folder: Path, as_json: bool) -> None:
     """Write one page for all histories in a folder."""
-    from gtau.report.render.html import write_report
+    from gtau.report.html import write_report
     from gtau.report.watch import STATES, fleet_lines, fleet_page
     from gtau.watch.history import HISTORY
 

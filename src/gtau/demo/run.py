@@ -18,7 +18,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.report.identification import write_identification
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import write_log
 from gtau.simulation.simulate import make_run, read_simulation

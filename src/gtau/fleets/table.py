@@ -15,7 +15,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.findings import counted
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, table_of
-from gtau.report.render.terminal import plain
+from gtau.report.terminal import plain
 
 if TYPE_CHECKING:
     import polars as pl

@@ -1,4 +1,4 @@
-"""Charts and sketches as data; :mod:`gtau.report.render` and the script of a page draw them."""
+"""Charts and sketches as data; Matplotlib (:mod:`gtau.report.charts`), SVG and the script of a page draw them."""
 
 from __future__ import annotations
 

@@ -14,8 +14,8 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, by_severity, moment
 from gtau.progress import Progress, silent
+from gtau.report.html import Inputs
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label
-from gtau.report.render.html import Inputs
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.run import Run

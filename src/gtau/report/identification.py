@@ -27,6 +27,7 @@ from gtau.report.evidence import (
     settings_of,
 )
 from gtau.report.gains import GOOD_GRADES, all_sources, gains_section, masses_table, payloads_section, unknown_payloads
+from gtau.report.html import write_report
 from gtau.report.motion import logs_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, joint_label, table_of
 from gtau.report.parameters import (
@@ -38,9 +39,8 @@ from gtau.report.parameters import (
     inertias_section,
     parameters_section,
 )
-from gtau.report.render.html import write_report
-from gtau.report.render.terminal import plain
 from gtau.report.robot import geometry_section
+from gtau.report.terminal import plain
 from gtau.report.torques import determination, fit_table, residuals_section, torques_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.drafting import DRAFT

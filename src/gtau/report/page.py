@@ -1,4 +1,4 @@
-"""Pages as data; :mod:`gtau.report.render` writes them to a terminal or as HTML.
+"""Pages as data; :mod:`gtau.report.terminal` and :mod:`gtau.report.html` write them.
 
 A page has sections of tables, charts, texts, facts and drawings of robots. Table cells are values; the column formats
 them. A new section is a function that returns a :class:`Section` and one line in the list of a page.

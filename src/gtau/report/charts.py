@@ -25,11 +25,11 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.chart import MINUS, NOT_USED, Axis, Chart, Panel, Series, Sketch, Word
 from gtau.report.page import number
-from gtau.report.render.svg import LEVEL, NAMES, SMALLEST, STEPS, size_of_names
 from gtau.report.robot_figure import sketch_of
+from gtau.report.svg import LEVEL, NAMES, SMALLEST, STEPS, size_of_names
 from gtau.robots.robot import Robot
 
-ASSETS = files("gtau.report.render") / "assets"
+ASSETS = files("gtau.report") / "assets"
 WIDTH = 7.2  # inches, width of a figure
 HALO = 2.4  # points, of the page's colour around words
 

@@ -29,7 +29,7 @@ from markupsafe import Markup, escape
 from gtau.documents.files import digest_of, write_atomically
 from gtau.report.chart import MINUS, NOT_USED, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Facts, Item, Kind, Page, Section, Table, Text
-from gtau.report.render.svg import svg_of, svg_of_robot
+from gtau.report.svg import svg_of, svg_of_robot
 
 Inputs = tuple[tuple[str, Path], ...]
 """Files with their purpose."""
@@ -82,14 +82,14 @@ def frame(page: Page) -> str:
 
 def asset(name: str) -> str:
     """Read a text file of this package."""
-    return files("gtau.report.render").joinpath("assets", name).read_text(encoding="utf-8")
+    return files("gtau.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 
 @cache
 def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    loader = PackageLoader("gtau.report.render")
+    loader = PackageLoader("gtau.report")
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
