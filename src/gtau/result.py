@@ -323,7 +323,7 @@ class ExperimentCheck(check_logs.CheckedExperiment):
 
     def summary(self) -> str:
         """Summarise the check as text, as ``gtau check`` prints it."""
-        from gtau.report.check import check_page
+        from gtau.report.logs import check_page
         from gtau.report.terminal import plain
 
         return plain(check_page(self))

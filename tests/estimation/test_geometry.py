@@ -21,8 +21,8 @@ from gtau.findings import Grade
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
 from gtau.model.lengths import variable_geometry
-from gtau.report.check import check_page
 from gtau.report.html import html
+from gtau.report.logs import check_page
 from gtau.report.terminal import plain
 from gtau.result import check, load
 from gtau.robots.robot import GROUND, Joint, Mdh, Pose, Robot

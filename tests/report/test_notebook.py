@@ -18,7 +18,7 @@ from gtau.errors import GtauError
 from gtau.estimation.identify import EstimatorComparison, MethodRow
 from gtau.findings import Grade
 from gtau.ipython import SHOWN, html, register
-from gtau.report.motion import distances_panels
+from gtau.report.logs import distances_panels
 from gtau.report.page import number as plain
 from gtau.result import check
 

@@ -178,7 +178,7 @@ def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exp
     """Write payloads for a controller, each to its own files."""
     from gtau.documents.files import identifier
     from gtau.export.payload import export_payload
-    from gtau.report.check import unique_names
+    from gtau.report.logs import unique_names
 
     names = unique_names([identifier(body.name) for body in bodies])
     return [export_payload(replace(body, name=name), to, out) for body, name in zip(bodies, names, strict=True)]

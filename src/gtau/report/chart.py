@@ -25,6 +25,9 @@ class Axis:
     names: Mapping[float, str] = field(default_factory=dict)
 
 
+TIME = Axis("time from the start of the run, s")
+
+
 @dataclass(frozen=True, eq=False)
 class Series:
     """A series of a panel: ``x`` and ``y`` (K,), a ``colour`` of the palette, and the way to draw it.

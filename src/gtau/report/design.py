@@ -15,7 +15,7 @@ from gtau.excitation.design import Design
 from gtau.excitation.forecast import Expected, Outlook, sampled_run
 from gtau.excitation.task import DesignProblem
 from gtau.report.chart import Chart
-from gtau.report.motion import joint_panels
+from gtau.report.logs import joint_panels
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import Parameter
 

@@ -28,7 +28,7 @@ from gtau.report.evidence import (
 )
 from gtau.report.gains import GOOD_GRADES, all_sources, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.html import write_report
-from gtau.report.motion import logs_section, motion_section, singularities_section
+from gtau.report.logs import logs_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, joint_label, table_of
 from gtau.report.parameters import (
     PAPER,

@@ -18,9 +18,8 @@ from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.report import parameters
-from gtau.report.chart import Axis, Chart, Panel, Series, colour
+from gtau.report.chart import TIME, Axis, Chart, Panel, Series, colour
 from gtau.report.charts import figure_of, robot_figure
-from gtau.report.check import check_page
 from gtau.report.evidence import RunEvidence, gather, settings_of
 from gtau.report.gains import (
     VALUE,
@@ -33,7 +32,7 @@ from gtau.report.gains import (
 )
 from gtau.report.html import frame, html as rendered, stamped
 from gtau.report.identification import report_page, verdict_section
-from gtau.report.motion import TIME, distances_panels, seconds
+from gtau.report.logs import check_page, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label
 from gtau.report.torques import residual_panels, torques_chart
 from gtau.robots.parameter import torque_unit

@@ -11,8 +11,7 @@ from gtau.estimation.diagnostics.geometry import GeometryTest, percent
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singular_distances
-from gtau.report.chart import Axis, Chart, Panel, Series, colour
-from gtau.report.motion import TIME
+from gtau.report.chart import TIME, Axis, Chart, Panel, Series, colour
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, table_of
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import Parameter, unit_of

@@ -9,9 +9,9 @@ import numpy as np
 
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.report.chart import Axis, Chart, Panel, Series, colour
+from gtau.report.chart import TIME, Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
-from gtau.report.motion import TIME, payload_words
+from gtau.report.logs import payload_words
 from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
 from gtau.uses.external_torques import TorquesAlongLog

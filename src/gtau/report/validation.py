@@ -12,10 +12,9 @@ from gtau.estimation.results.model_file import payload_documents, torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade, percents, to_width
-from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_section, payloads_section
-from gtau.report.motion import logs_section, motion_section
+from gtau.report.logs import logs_section, motion_section, unique_names
 from gtau.report.page import Column, Kind, Page, Section, Text, table_of
 from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_section
 from gtau.uses.weigh import FRICTION_CHANGE, GAIN_CHANGE
