@@ -10,11 +10,10 @@ from pathlib import Path
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
-from gtau import __version__  # noqa: E402
-from gtau.ipython import SHOWN, html  # noqa: E402
+from gtau import _SHOWN, __version__, _html  # noqa: E402
 
-for _name, _module in SHOWN.items():  # the gallery shows what IPython shows
-    getattr(import_module(_module), _name)._repr_html_ = html
+for _name, _module in _SHOWN.items():  # the gallery shows what IPython shows
+    getattr(import_module(_module), _name)._repr_html_ = _html
 
 project = "gtau"
 author = "The gtau developers"

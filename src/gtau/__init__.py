@@ -1,6 +1,7 @@
 """gtau: identify drive gains and dynamic parameters of serial and parallel robots from logs."""
 
 import sys
+from typing import Any
 
 import lazy_loader
 
@@ -26,7 +27,27 @@ def __getattr__(name: str) -> object:
     return _first_used(name)
 
 
-if (_ipython := sys.modules.get("IPython")) and (_shell := _ipython.get_ipython()):
-    from gtau.ipython import register as _register
+_SHOWN = {
+    "Named": "gtau.estimation.results.estimate",
+    "PayloadEstimate": "gtau.estimation.results.payload_body",
+    "Prediction": "gtau.uses.prediction",
+    "EstimatorComparison": "gtau.estimation.identify",
+    "CheckedExperiment": "gtau.estimation.check_logs",
+}
+"""Classes that have a page in :mod:`gtau.report.plots`, with their modules."""
 
+
+def _html(shown: object) -> str:
+    from gtau.report import plots
+
+    return plots.html(shown)
+
+
+def _register(shell: Any) -> None:
+    """Let an IPython shell show these classes as pages, without importing them."""
+    for name, module in _SHOWN.items():
+        shell.display_formatter.formatters["text/html"].for_type_by_name(module, name, _html)
+
+
+if (_ipython := sys.modules.get("IPython")) and (_shell := _ipython.get_ipython()):
     _register(_shell)

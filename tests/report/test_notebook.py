@@ -14,10 +14,10 @@ import pytest
 from five_bar_logs import JOINTS, Plant, write_experiment
 
 import gtau
+from gtau import _SHOWN, _html as html, _register as register
 from gtau.errors import GtauError
 from gtau.estimation.identify import EstimatorComparison, MethodRow
 from gtau.findings import Grade
-from gtau.ipython import SHOWN, html, register
 from gtau.report.logs import distances_panels
 from gtau.report.page import number as plain
 from gtau.result import check
@@ -71,7 +71,7 @@ def test_ipython_shows_what_has_a_page() -> None:
     assert set(shown.values()) == {html}
     for module, name in shown:
         assert isinstance(getattr(import_module(module), name), type)
-    assert len(shown) == len(SHOWN)
+    assert len(shown) == len(_SHOWN)
 
 
 def test_a_comparison_shows_itself_and_is_a_table() -> None:
