@@ -21,8 +21,8 @@ import numpy as np
 
 import gtau
 from gtau.demo.run import make_experiment
+from gtau.findings import silent
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import silent
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import (
     Controller,

@@ -28,7 +28,7 @@ from gtau.demo.run import (
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.progress import Progress, silent
+from gtau.findings import Progress, silent
 from gtau.report.chart import Chart, intervals
 from gtau.report.charts import figure_of, robot_figure, save_figure
 from gtau.report.gains import LARGEST

@@ -11,10 +11,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.regression.assembly import known_values
+from gtau.findings import Progress
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
-from gtau.progress import Progress
 from gtau.result import Result, identify
 from gtau.robots.geometry import refuse_floating
 from gtau.robots.parameter import Parameter

@@ -1,8 +1,8 @@
-"""Findings of reading a log, of checking it and of judging a fit: one record, with its words."""
+"""Findings of reading a log, of checking it and of judging a fit: one record, with its words; and progress reports."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -13,6 +13,12 @@ from gtau.errors import quoted
 
 MOST_PERCENT = 1000.0
 """Per cent, above which a size is none: what has it is no estimate, and no error of one."""
+Progress = Callable[[str, int, int], None]
+"""Called in long work with the stage, how much of it is done, and how much there is: 1 where its share is not known."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Report no progress."""
 
 
 class Grade(StrEnum):

@@ -18,7 +18,7 @@ from gtau.estimation.identify import EstimatorComparison, compare as compare_est
 from gtau.estimation.results import model_file
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.result import IdentifiedModel, estimates_frame
-from gtau.progress import Progress, silent
+from gtau.findings import Progress, silent
 from gtau.robots.readers.read import frame_on
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment

@@ -40,10 +40,9 @@ from gtau.excitation.forecast import sampled_run
 from gtau.excitation.nlp import Programme, random_start
 from gtau.excitation.prior import KnownGain
 from gtau.excitation.task import DesignProblem
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding, Grade, silent
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import silent
 from gtau.report.design import trajectory_table
 from gtau.report.terminal import plain
 from gtau.robots.readers.native import write_native

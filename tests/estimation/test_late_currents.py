@@ -11,8 +11,8 @@ from gtau.estimation.diagnostics.diagnose import examine
 from gtau.estimation.diagnostics.effort import columns_of_effort, middle_rows
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.findings import silent
 from gtau.model.home import load_robot
-from gtau.progress import silent
 from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

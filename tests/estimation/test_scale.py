@@ -26,10 +26,9 @@ from gtau.estimation.estimators.maximum_likelihood import ML, ml
 from gtau.estimation.preconditions import refuse_other_unit, refuse_repeated
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem
-from gtau.findings import Grade
+from gtau.findings import Grade, silent
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import silent
 from gtau.result import check, identify, load
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload, Prior, as_payload

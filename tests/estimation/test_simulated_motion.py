@@ -19,10 +19,10 @@ from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Problem
+from gtau.findings import silent
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import silent
 from gtau.result import identify
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator, position_filter

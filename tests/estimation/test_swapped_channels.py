@@ -11,9 +11,8 @@ import pytest
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS, columns_of_effort, middle_rows
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.findings import Grade
+from gtau.findings import Grade, silent
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import silent
 from gtau.result import identify
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload

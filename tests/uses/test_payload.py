@@ -18,8 +18,8 @@ from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import headline, remarks, sums_with_mass
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate
+from gtau.findings import silent
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import silent
 from gtau.report.terminal import plain
 from gtau.report.validation import weighing_page
 from gtau.result import Result, identify

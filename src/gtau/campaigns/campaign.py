@@ -21,7 +21,7 @@ from gtau.estimation.results.model_file import save
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design import Design, excite
 from gtau.excitation.design_file import DesignFile, make_task
-from gtau.progress import Progress, silent
+from gtau.findings import Progress, silent
 
 PLAY, MODEL_FILE = "play", "model.json"
 REDUCED = 0.25  # m/s, largest speed of the tool in a dry run

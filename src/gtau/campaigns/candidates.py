@@ -24,8 +24,8 @@ from gtau.excitation.design_file import DesignFile, make_task
 from gtau.excitation.forecast import sampled_run
 from gtau.excitation.prior import DesignPrior
 from gtau.excitation.task import DesignProblem, along
+from gtau.findings import Progress, silent
 from gtau.model.program import single_threaded_blas
-from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 from gtau.signals.reading.logs import read_log

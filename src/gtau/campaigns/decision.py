@@ -24,8 +24,7 @@ from gtau.estimation.effects.known.gain_drift import EFFECT as GAIN_DRIFT
 from gtau.estimation.experiment_runs import options_of
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design_file import DesignFile
-from gtau.findings import Grade, to_width
-from gtau.progress import Progress
+from gtau.findings import Grade, Progress, to_width
 from gtau.signals.reading.logs import read_log
 from gtau.uses.identify import identify
 

@@ -17,9 +17,9 @@ from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import DesignFile
 from gtau.excitation.forecast import Outlook, sampled_run
 from gtau.excitation.prior import file_parameters, rough_parameters, with_drives
+from gtau.findings import Progress
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import Progress
 from gtau.report.design import trajectory_table
 from gtau.robots.parameter import torque_unit
 from gtau.robots.readers.mjcf_file import refuse_deadly

@@ -21,7 +21,7 @@ from gtau.cli.interruption import begin, exit_code, interrupted, report_ending
 from gtau.documents.files import hold_folder
 from gtau.errors import GtauError, tidy
 from gtau.estimation.estimators import NAMES
-from gtau.progress import Progress
+from gtau.findings import Progress
 
 if TYPE_CHECKING:
     from gtau.report.page import Page

@@ -13,9 +13,9 @@ from gtau.estimation.experiment_runs import read_validation
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_file import save
 from gtau.estimation.results.result import IdentifiedModel
+from gtau.findings import Progress
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import Progress
 from gtau.report.identification import write_identification
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.terminal import plain

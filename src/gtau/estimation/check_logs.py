@@ -32,12 +32,11 @@ from gtau.estimation.regression.plausibility import prepare_runs, sensors_of
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import NearestPose, distances_along, nearest_poses
-from gtau.findings import Finding, Grade, by_severity
+from gtau.findings import Finding, Grade, Progress, by_severity, silent
 from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.program import single_threaded_blas
 from gtau.model.singularities import Distances, singular_distances
-from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
 from gtau.signals.preparation.choice import moving_spectra

@@ -13,10 +13,9 @@ from gtau.errors import GtauError, UnknownName, meant
 from gtau.estimation.diagnostics.geometry import GeometryTest
 from gtau.estimation.estimators import estimator_of
 from gtau.estimation.regression.priors import inertia_priors
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding, Grade, Progress, silent
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, LoggedRun, check_robot, read_experiment
 from gtau.signals.reading.statements import Drive, Prior, StatedGain, as_priors

@@ -37,9 +37,8 @@ from gtau.estimation.results.build import evidence, fit_record, model_estimates,
 from gtau.estimation.results.conclusions import SCALE_UNTESTED
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.result import NO_BODIES, IdentifiedModel
-from gtau.findings import Finding, Grade, listed
+from gtau.findings import Finding, Grade, Progress, listed, silent
 from gtau.model.program import single_threaded_blas
-from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter, gain_unit
 from gtau.signals.reading.statements import data_sheet_notes
 from gtau.signals.run import Run

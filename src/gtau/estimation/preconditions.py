@@ -16,7 +16,7 @@ from gtau.estimation.estimators.estimator import Estimator, Gains
 from gtau.estimation.experiment_runs import Options, Subject
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.priors import require_scale
-from gtau.progress import Progress
+from gtau.findings import Progress
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.prepared_run import Preparation

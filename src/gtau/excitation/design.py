@@ -14,8 +14,8 @@ from gtau.errors import GtauError
 from gtau.excitation.constraints import CONDITION, MARGIN, ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem, along, design_grid, evaluate
+from gtau.findings import Progress, silent
 from gtau.model.program import single_threaded_blas
-from gtau.progress import Progress, silent
 
 START = 0.6  # share of the limits that a start uses, so that it is feasible
 FINER = 10

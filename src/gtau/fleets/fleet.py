@@ -21,10 +21,10 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.estimator import Gains
 from gtau.estimation.results.model_file import model_text
+from gtau.findings import Progress, silent
 from gtau.fleets.table import FleetTable, Report, fleet_table
 from gtau.fleets.workers import Mapper, dask_workers, processes
 from gtau.model.home import load_robot
-from gtau.progress import Progress, silent
 from gtau.robots.readers.native import native_text
 from gtau.signals.reading.experiment import Experiment, read_experiment
 

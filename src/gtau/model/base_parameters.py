@@ -10,10 +10,10 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, NAMES, WHOLE, takes
 from gtau.errors import GtauError
+from gtau.findings import Progress, silent
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.program import single_threaded_blas
 from gtau.model.singularities import random_motion
-from gtau.progress import Progress, silent
 from gtau.robots.geometry import identical_legs
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DRIVE, INERTIAL, PLAIN_FRICTION, Robot

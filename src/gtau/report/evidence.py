@@ -12,8 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, by_severity, moment
-from gtau.progress import Progress, silent
+from gtau.findings import Finding, Progress, by_severity, moment, silent
 from gtau.report.html import Inputs
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label
 from gtau.signals.preparation.prepared_run import Preparation

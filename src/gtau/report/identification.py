@@ -15,8 +15,7 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, Grade, by_severity, percent_text, percents
-from gtau.progress import Progress, silent
+from gtau.findings import Finding, Grade, Progress, by_severity, percent_text, percents, silent
 from gtau.report.evidence import (
     RunEvidence,
     findings_section,

@@ -19,10 +19,10 @@ from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.results.model_file import load
+from gtau.findings import Progress, silent
 from gtau.model.equations import parameter_names
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.progress import Progress, silent
 from gtau.robots.geometry import massless, refuse_floating
 from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text

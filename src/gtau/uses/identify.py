@@ -19,9 +19,8 @@ from gtau.estimation.experiment_runs import Options, Source, Subject, describe, 
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding
+from gtau.findings import Finding, Progress, silent
 from gtau.model.program import single_threaded_blas
-from gtau.progress import Progress, silent
 from gtau.robots.robot import Limits, Robot, RobotFile
 from gtau.signals.preparation.bandwidth import position_noise
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF

@@ -27,9 +27,8 @@ from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding, Grade, Progress, silent
 from gtau.model.program import single_threaded_blas
-from gtau.progress import Progress, silent
 from gtau.robots.parameter import TERMS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.reading.experiment import Experiment

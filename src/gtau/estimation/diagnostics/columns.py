@@ -37,8 +37,7 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
-from gtau.findings import Finding, listed
-from gtau.progress import Progress
+from gtau.findings import Finding, Progress, listed
 from gtau.robots.robot import Coupling, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 

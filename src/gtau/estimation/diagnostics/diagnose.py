@@ -34,8 +34,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.findings import Finding, Grade
-from gtau.progress import Progress, silent
+from gtau.findings import Finding, Grade, Progress, silent
 from gtau.robots.parameter import Parameter
 
 if TYPE_CHECKING:

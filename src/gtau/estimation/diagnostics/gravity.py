@@ -29,8 +29,7 @@ from gtau.estimation.effects.effect import EstimatedEffect, rms_torques, window_
 from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY, clock_words, gravity_changes
 from gtau.estimation.effects.rows import fitted_sizes
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding, Grade, percent
-from gtau.progress import Progress, silent
+from gtau.findings import Finding, Grade, Progress, percent, silent
 from gtau.robots.robot import Robot
 
 REFUTED_SHARE = 0.05  # share of the residual variance that another gravity explains

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry import ConstantChange, GeometryTest, PoseResidual
 from gtau.estimation.regression.rows import instants
+from gtau.findings import Progress, silent
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import BodyPose, VariableGeometry, variable_geometry
-from gtau.progress import Progress, silent
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.placement import within_a_turn
 from gtau.signals.reading.body_columns import PoseColumns

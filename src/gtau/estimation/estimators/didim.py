@@ -29,9 +29,9 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.rows import instants
+from gtau.findings import Progress, silent
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Labels
-from gtau.progress import Progress, silent
 from gtau.robots.parameter import DRY, parameter_of
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter

@@ -12,7 +12,7 @@ from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.progress import Progress
+from gtau.findings import Progress
 from gtau.robots.parameter import BY_LOAD, DRIFTING, TEMPERATURE_TERMS, TERMS, Parameter
 
 FRICTION_TERM_GAIN = 0.02  # share of a joint's residual that a friction term takes away

@@ -11,7 +11,7 @@ import numpy as np
 
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Problem, Unknowns
-from gtau.progress import Progress
+from gtau.findings import Progress
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import delayed
-from gtau.progress import Progress, silent
+from gtau.findings import Progress, silent
 from gtau.signals.storage import block, rows_at, spans, stride_of
 
 TUNING = 1.345  # standard deviations: 95 % efficient without outliers

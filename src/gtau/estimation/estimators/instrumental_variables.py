@@ -28,7 +28,7 @@ from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.run_blocks import block_of
-from gtau.progress import Progress, silent
+from gtau.findings import Progress, silent
 from gtau.robots.parameter import DRY, TERMS
 from gtau.signals.preparation.prepared_run import SampleWindow
 

@@ -30,7 +30,7 @@ from gtau.estimation.estimators.newton import Weigh, finish, least_squares, one_
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import delayed_signal, leave_one_out, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.progress import Progress, silent
+from gtau.findings import Progress, silent
 
 
 def ols(problem: Problem, gains: np.ndarray) -> Solution:

@@ -31,12 +31,11 @@ from gtau.estimation.regression.priors import ReferenceModel, inertia_priors, kn
 from gtau.estimation.regression.problem import MotorEquation, Problem, longest_delay
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding, Grade, Progress, silent
 from gtau.model.base_parameters import BaseParameters, Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import VariableTorques
 from gtau.model.singularities import singular_distances
-from gtau.progress import Progress, silent
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import BY_LOAD, Parameter
 from gtau.robots.robot import INERTIAL, Robot
