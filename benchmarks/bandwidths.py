@@ -35,8 +35,8 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.filters import Decimator, filter_edge, low_pass
-from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
+from gtau.signals.preparation.filters import Decimator, Preparation, filter_edge, low_pass
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.run import Run
 

@@ -24,9 +24,8 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.newton import jacobian, to_gains
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.bandwidth import choose_preparation
+from gtau.signals.preparation.filters import Decimator, Preparation
 
 DECAY = 0.1  # s
 

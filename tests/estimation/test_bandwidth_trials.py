@@ -10,7 +10,7 @@ from gtau.model.base_parameters import Equations
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.bandwidth import choose_preparation
 from gtau.signals.run import Run
 
 RATE = 200.0

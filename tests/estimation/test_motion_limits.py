@@ -16,7 +16,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
 from gtau.robots.robot import Limits, Robot
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.bandwidth import choose_preparation
 from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.run import Run, read_run
 from gtau.uses.identify import experiment_of

@@ -17,7 +17,7 @@ from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import check, identify
 from gtau.robots.readers.read import CATALOG
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.bandwidth import choose_preparation
 from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run
 

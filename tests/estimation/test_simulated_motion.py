@@ -24,9 +24,9 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
-from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.filters import Decimator, position_filter
-from gtau.signals.preparation.prepared_run import Preparation, prepare
+from gtau.signals.preparation.bandwidth import choose_preparation
+from gtau.signals.preparation.filters import Decimator, Preparation, position_filter
+from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation import plant

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.preparation.bandwidth import spectra
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.bandwidth import choose_preparation, spectra
 from gtau.signals.run import SEGMENT, Run
 
 LINES = np.array([0.1, 0.2, 0.3, 0.5, 0.8])  # Hz

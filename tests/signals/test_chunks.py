@@ -23,9 +23,9 @@ import gtau.signals.storage
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.friction.normal_equations import friction_joints
-from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.filters import Decimator, position_filter
-from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, prepare
+from gtau.signals.preparation.bandwidth import choose_preparation
+from gtau.signals.preparation.filters import Decimator, Preparation, position_filter
+from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import Store, block, store
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.preparation.bandwidth import spectra
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.bandwidth import choose_preparation, spectra
 from gtau.signals.reading.statements import PreparationSettings
 from gtau.signals.repair.clock import clock_of
 from gtau.signals.run import Run, read_run

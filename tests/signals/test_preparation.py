@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.preparation.choice import choose_preparation, moving_spectra
+from gtau.signals.preparation.bandwidth import choose_preparation, moving_spectra
 from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run, read_run
 

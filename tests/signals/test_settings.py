@@ -10,8 +10,9 @@ from five_bar_logs import EXPERIMENT, Plant, write_log
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.prepared_run import Preparation, prepare
+from gtau.signals.preparation.bandwidth import choose_preparation
+from gtau.signals.preparation.filters import Preparation
+from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.reading.experiment import read_experiment
 
 HEAD = EXPERIMENT.split("runs:")[0]

@@ -18,8 +18,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import Result
 from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
-from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.filters import Decimator, Preparation
 from gtau.uses.identified import Identified, torques_of
 
 PAYLOAD = {"m": 1.5, "mx": 0.1, "my": -0.05, "mz": 0.2, "xx": 0.1, "yy": 0.2, "zz": 0.15}

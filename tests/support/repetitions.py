@@ -12,7 +12,7 @@ from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, triangle
 from gtau.estimation.regression.rows import stream_rows
 from gtau.excitation.forecast import expected_runs
 from gtau.excitation.task import DesignProblem
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.bandwidth import choose_preparation
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.preparation.prepared_run import prepare
 

@@ -38,9 +38,9 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.program import single_threaded_blas
 from gtau.model.singularities import Distances, singular_distances
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
-from gtau.signals.preparation.choice import moving_spectra
-from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
+from gtau.signals.preparation.bandwidth import JointSpectrum, moving_spectra, spectra
+from gtau.signals.preparation.filters import Preparation
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.experiment import Experiment, LoggedRun
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block_size

@@ -26,8 +26,8 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding, Grade, enumerated, listed, percent
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import SIDE_SIGNALS
-from gtau.signals.preparation.filters import position_filter
-from gtau.signals.preparation.prepared_run import PreparedRun, valid_samples
+from gtau.signals.preparation.filters import position_filter, valid_samples
+from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.column_names import has_word
 from gtau.signals.reading.statements import Drive
 

@@ -19,7 +19,7 @@ from gtau.estimation.regression.priors import require_scale
 from gtau.findings import Progress
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.filters import Preparation
 from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 

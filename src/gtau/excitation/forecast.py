@@ -19,7 +19,7 @@ from gtau.excitation.task import DesignProblem, Grid, close, evaluate
 from gtau.model.program import single_threaded_blas
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.bandwidth import choose_preparation
 from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

@@ -19,8 +19,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loops import Motion, advance, differentiate
 from gtau.model.program import Program, compile_program
-from gtau.signals.preparation.filters import Decimator, decimation_factor
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.filters import Decimator, Preparation, decimation_factor
 from gtau.signals.reading.statements import Payload
 
 SPEED_FRACTION = Preparation.speed_fraction

@@ -15,7 +15,7 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Progress, by_severity, moment, silent
 from gtau.report.html import Inputs
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.filters import Preparation
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.run import Run
 from gtau.uses.prediction import Prediction, predict, torque_errors

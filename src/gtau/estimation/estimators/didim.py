@@ -34,8 +34,8 @@ from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Labels
 from gtau.robots.parameter import DRY, parameter_of
 from gtau.signals.preparation.bandwidth import spectra
-from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter
-from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
+from gtau.signals.preparation.filters import Preparation, below_nyquist, filter_edge, position_filter
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block, spans
 

@@ -19,9 +19,9 @@ from gtau.estimation.regression.factors import EXTRA, KNOWN, SIGNAL, channel_row
 from gtau.estimation.regression.plausibility import motor_to_joint_speed
 from gtau.estimation.regression.rows import stream_rows
 from gtau.model.base_parameters import Equations
-from gtau.signals.preparation.choice import LEAST_WIDTH
-from gtau.signals.preparation.filters import HIGHEST_CUTOFF, PASSED, Decimator, cutoff_at_ends
-from gtau.signals.preparation.prepared_run import Preparation, prepare
+from gtau.signals.preparation.bandwidth import LEAST_WIDTH
+from gtau.signals.preparation.filters import HIGHEST_CUTOFF, PASSED, Decimator, Preparation, cutoff_at_ends
+from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run
 
 LOWEST = 5.0

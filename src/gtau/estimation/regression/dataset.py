@@ -39,8 +39,9 @@ from gtau.model.singularities import singular_distances
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import BY_LOAD, Parameter
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
+from gtau.signals.preparation.bandwidth import choose_preparation
+from gtau.signals.preparation.filters import Preparation
+from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
 from gtau.signals.storage import Store

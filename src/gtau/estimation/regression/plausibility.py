@@ -13,7 +13,8 @@ from gtau.findings import Finding, clock_advice, write_limits
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
-from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, prepare
+from gtau.signals.preparation.filters import Preparation
+from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.columns import SampleRate
 from gtau.signals.reading.samples import extremes
 from gtau.signals.run import Run

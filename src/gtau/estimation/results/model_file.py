@@ -43,8 +43,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import SHAPES, Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import native_text, parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
-from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.filters import Decimator, Preparation
 from gtau.signals.reading.experiment import Recording
 
 SCHEMA = "gtau-model/5"

@@ -20,7 +20,7 @@ from gtau.model.base_parameters import BaseParameters, Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import SHAPES, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
-from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.preparation.filters import Preparation
 from gtau.signals.reading.experiment import Recording
 from gtau.signals.run import Run
 

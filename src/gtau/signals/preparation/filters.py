@@ -8,13 +8,14 @@ computed and handed to `Decimator.apply`, and the outputs equal the outputs of t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
 from typing import Literal
 
 import numpy as np
 
+from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
 STENCIL = 2  # samples that a central difference reaches to either side
@@ -273,3 +274,50 @@ def decimation_factor(rate: float, bandwidth: float, most: int = MAX_FACTOR) -> 
     twice the bandwidth.
     """
     return int(min(max(PASSED / 2 * rate // (2 * bandwidth), 1), most))
+
+
+SPEED_FRACTION = 0.05  # of a joint's rms speed
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """Preparation of the runs of an experiment.
+
+    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator``
+    suits runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); other runs are decimated to the same row rate.
+    A joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
+    settings made by hand. ``prediction_cutoffs`` (Hz) and ``position_noise`` of each joint, where they are known, are
+    for predicted torques: see :func:`gtau.uses.identify.with_prediction_cutoffs` and
+    :func:`gtau.signals.preparation.bandwidth.position_noise`.
+    """
+
+    bandwidth: float
+    cutoff: float | None
+    decimator: Decimator
+    speed_fraction: float = SPEED_FRACTION
+    rate: float = 0.0
+    given: tuple[str, ...] = ()
+    prediction_cutoffs: tuple[float | None, ...] = ()
+    position_noise: tuple[float, ...] = ()
+
+    def at(self, rate: float) -> Preparation:
+        """Adapt the preparation to runs with another sampling ``rate`` (Hz): same filter, same row rate."""
+        if not self.rate or abs(rate / self.rate - 1) < 0.1:
+            return self
+        factor = max(1, round(self.decimator.factor * rate / self.rate))
+        cutoff = self.cutoff
+        if "position_filter" not in self.given:
+            cutoff = max(10 * self.bandwidth, 5.0) if cutoff is None else cutoff
+        cutoff = None if cutoff is None else below_nyquist(cutoff, rate)
+        return replace(self, cutoff=cutoff, decimator=replace(self.decimator, factor=factor), rate=rate)
+
+
+def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
+    """Mark where speeds and accelerations depend on valid samples only (stop - start, n)."""
+    from scipy.ndimage import minimum_filter1d
+
+    samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
+    begin, number = max(0, start - STENCIL), np.arange(start, stop)
+    valid = block(run.valid, begin, min(samples, stop + STENCIL))
+    near = minimum_filter1d(valid, 2 * STENCIL + 1, axis=0, mode="nearest")[start - begin : stop - begin]
+    return near & ((number >= edge) & (number < samples - edge))[:, None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, MutableMapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from weakref import WeakKeyDictionary
@@ -14,47 +14,13 @@ from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
 from gtau.signals.preparation import filters
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
+from gtau.signals.preparation.filters import Preparation, valid_samples
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
-
-SPEED_FRACTION = 0.05  # of a joint's rms speed
 
 PARTS = 2000  # of a run, used to find rests
 CLOSE_TO_NYQUIST = 0.1  # of the sampling rate: bandwidths above are noted; speeds are then too small by 0.5 %
 NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than 0.1 % to the speed's power
-
-
-@dataclass(frozen=True)
-class Preparation:
-    """Preparation of the runs of an experiment.
-
-    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator``
-    suits runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); other runs are decimated to the same row rate.
-    A joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
-    settings made by hand. ``prediction_cutoffs`` (Hz) and ``position_noise`` of each joint, where they are known, are
-    for predicted torques: see :func:`gtau.uses.identify.with_prediction_cutoffs` and
-    :func:`gtau.signals.preparation.bandwidth.position_noise`.
-    """
-
-    bandwidth: float
-    cutoff: float | None
-    decimator: filters.Decimator
-    speed_fraction: float = SPEED_FRACTION
-    rate: float = 0.0
-    given: tuple[str, ...] = ()
-    prediction_cutoffs: tuple[float | None, ...] = ()
-    position_noise: tuple[float, ...] = ()
-
-    def at(self, rate: float) -> Preparation:
-        """Adapt the preparation to runs with another sampling ``rate`` (Hz): same filter, same row rate."""
-        if not self.rate or abs(rate / self.rate - 1) < 0.1:
-            return self
-        factor = max(1, round(self.decimator.factor * rate / self.rate))
-        cutoff = self.cutoff
-        if "position_filter" not in self.given:
-            cutoff = max(10 * self.bandwidth, 5.0) if cutoff is None else cutoff
-        cutoff = None if cutoff is None else filters.below_nyquist(cutoff, rate)
-        return replace(self, cutoff=cutoff, decimator=replace(self.decimator, factor=factor), rate=rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,14 +251,3 @@ def _notes(
         nyquist = f"the Nyquist frequency, {run.updates / 2:.4g} Hz: speeds and accelerations are inaccurate"
         text = f"the bandwidth of the motion, {bandwidth:.3g} Hz, is close to {nyquist}"
         yield Finding("sampling rate", text=text, advice=f"log at {10 * bandwidth:.0f} Hz or more, or move more slowly")
-
-
-def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
-    """Mark where speeds and accelerations depend on valid samples only (stop - start, n)."""
-    from scipy.ndimage import minimum_filter1d
-
-    samples, edge = len(run.time), filters.filter_edge(run.rate, preparation.cutoff)
-    begin, number = max(0, start - filters.STENCIL), np.arange(start, stop)
-    valid = block(run.valid, begin, min(samples, stop + filters.STENCIL))
-    near = minimum_filter1d(valid, 2 * filters.STENCIL + 1, axis=0, mode="nearest")[start - begin : stop - begin]
-    return near & ((number >= edge) & (number < samples - edge))[:, None]
