@@ -18,8 +18,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_file import NoteEntry
 from gtau.findings import Finding, Grade, by_severity, note_document
-from gtau.report.evidence import findings_table
-from gtau.report.logs import expectation
+from gtau.report.logs import expectation, findings_table
 from gtau.result import check, identify
 from gtau.signals.reading.formats import repair
 

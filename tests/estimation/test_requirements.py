@@ -13,12 +13,11 @@ from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.results.estimate import Requirement
 from gtau.estimation.results.model_file import to_document
 from gtau.findings import Finding
-from gtau.report.evidence import RunEvidence, gather
 from gtau.report.identification import report_page, summary_page, verdict_section
 from gtau.report.page import Page, Text
 from gtau.report.parameters import correlation_section, effects_chart
 from gtau.report.terminal import plain
-from gtau.report.torques import determination
+from gtau.report.torques import RunEvidence, determination, gather
 from gtau.robots.parameter import parameter_of
 from gtau.signals.preparation.filters import Decimator
 from gtau.uses.prediction import Prediction

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gtau.findings import Finding
-from gtau.report.evidence import APART, findings_section, same_in_several
+from gtau.report.logs import APART, findings_section, same_in_several
 from gtau.signals.reading.formats import repair
 
 ADVICE = "log in the controller's own cycle"

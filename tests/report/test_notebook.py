@@ -18,8 +18,8 @@ from gtau import _SHOWN, _html as html, _register as register
 from gtau.errors import GtauError
 from gtau.estimation.identify import EstimatorComparison, MethodRow
 from gtau.findings import Grade
-from gtau.report.logs import distances_panels
 from gtau.report.page import number as plain
+from gtau.report.robot import distances_panels
 from gtau.result import check
 
 PRIOR = {"left": 2.4, "right": 4.1}

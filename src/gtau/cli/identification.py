@@ -130,9 +130,9 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
     experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.identify import compare as run, comparison_document
-        from gtau.report.evidence import inputs_of
         from gtau.report.gains import comparison_page
         from gtau.report.html import write_report
+        from gtau.report.logs import inputs_of
         from gtau.signals.reading.experiment import read_experiment
 
         comparison = replace(run(experiment, progress=progress), notes=guessed)

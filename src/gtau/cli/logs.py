@@ -161,9 +161,8 @@ def check(
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
         from gtau.estimation.experiment_runs import Options
-        from gtau.report.evidence import inputs_of
         from gtau.report.html import write_report
-        from gtau.report.logs import check_document, check_page
+        from gtau.report.logs import check_document, check_page, inputs_of
 
         checked = check(experiment, None, Options(method), progress)
     checked = replace(checked, notes=(*checked.notes, *guessed))

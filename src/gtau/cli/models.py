@@ -57,8 +57,9 @@ def validate(
         from gtau.estimation.experiment_runs import read_validation
         from gtau.estimation.results.conclusions import without_temperature
         from gtau.estimation.results.model_file import load
-        from gtau.report.evidence import inputs_of, predicted, settings_of
         from gtau.report.html import write_report
+        from gtau.report.logs import inputs_of, settings_of
+        from gtau.report.torques import predicted
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
         from gtau.uses.identify import experiment_of as experiment_for
 
@@ -126,8 +127,8 @@ def payload(
     hold(out)
     with progress_bar() as progress:
         from gtau.estimation.results.model_file import load
-        from gtau.report.evidence import inputs_of, settings_of
         from gtau.report.html import write_report
+        from gtau.report.logs import inputs_of, settings_of
         from gtau.report.validation import weighing_document, weighing_page
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh

@@ -16,18 +16,9 @@ from gtau.estimation.results.conclusions import VISIBLE, findings, headline, mis
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade, Progress, by_severity, percent_text, percents, silent
-from gtau.report.evidence import (
-    RunEvidence,
-    findings_section,
-    gather,
-    inputs_of,
-    preparation_words,
-    same_in_several,
-    settings_of,
-)
 from gtau.report.gains import GOOD_GRADES, all_sources, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.html import write_report
-from gtau.report.logs import logs_section, motion_section, singularities_section
+from gtau.report.logs import findings_section, inputs_of, logs_section, preparation_words, same_in_several, settings_of
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, joint_label, table_of
 from gtau.report.parameters import (
     PAPER,
@@ -38,9 +29,9 @@ from gtau.report.parameters import (
     inertias_section,
     parameters_section,
 )
-from gtau.report.robot import geometry_section
+from gtau.report.robot import geometry_section, motion_section, singularities_section
 from gtau.report.terminal import plain
-from gtau.report.torques import determination, fit_table, residuals_section, torques_section
+from gtau.report.torques import RunEvidence, determination, fit_table, gather, residuals_section, torques_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.drafting import DRAFT
 from gtau.signals.reading.experiment import Experiment

@@ -2,48 +2,85 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gtau.estimation.check_logs import WEIGHING, CheckedExperiment, LogCheck
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
-from gtau.estimation.results.conclusions import NEAR_SINGULAR
-from gtau.estimation.results.estimate import NearestPose
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, Grade, by_severity, counted, note_document
+from gtau.findings import Finding, Grade, by_severity, counted, moment, note_document
 from gtau.report.chart import TIME, Axis, Chart, Panel, Rule, Series, colour
-from gtau.report.evidence import RunEvidence, findings_section, preparation_words, same_in_several
-from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, table_of
-from gtau.report.robot import geometry_section
+from gtau.report.html import Inputs
+from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
+from gtau.report.robot import distances_panels, geometry_section, singularities_section
+from gtau.report.torques import payload_words
 from gtau.robots.parameter import command_unit
 from gtau.robots.robot import Robot
+from gtau.signals.preparation.filters import Preparation
+from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.logs import logged_instants
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
-TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
-"""Names of the types of singularities."""
-COLOURS = {1: "c7", 2: "c6"}  # not among the colours of six joints
+SHARES = {"accuracy": "accuracy, relative", "reduction_loss": "reduction loss, %"}  # names of statistics
+APART = 4  # most findings of one kind on different logs that are listed one by one
 LOWEST = 1e-9  # of the peak of a spectrum; lower values are rounding errors
 FREQUENCY = Axis("frequency, Hz", log=True)
 
 
-def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
-    """Show the robot, and the distances of its motion to singular poses."""
-    used = any(run.used for run in runs)
-    starts = {run.run.name: float(run.run.time[0]) for run in runs}
-    along = zip(result.runs, result.distances, strict=False)  # empty for a loaded result
-    distances = distances_panels((name, starts.get(name, 0.0), run) for name, run in along) if used else []
-    return Section(
-        "Robot and motion",
-        result.robot,
-        singularities_section(result.singularities) if used else None,
-        *(Section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
-        id="robot",
+def findings_section(notes: Sequence[Finding]) -> Section:
+    """List findings, the worst first."""
+    nothing = Text("Nothing in the logs was repaired or left out.")
+    return Section("Findings", findings_table(notes) if notes else nothing, id="notes")
+
+
+def findings_table(notes: Sequence[Finding]) -> Table:
+    """Tabulate findings, the worst first."""
+    rows = [
+        (grade.value, note.source, _where(note), note.what, note.advice)
+        for grade, members in by_severity(same_in_several(notes)).items()
+        for note in members
+    ]
+    columns = (
+        Column("grade", Kind.BADGE),
+        Column("log or robot"),
+        Column("where", wide=True),
+        Column("what was found", Kind.SENTENCE),
+        Column("what to do", Kind.SENTENCE),
     )
+    return Table(columns, rows, listed=True)
+
+
+def _where(note: Finding) -> str:
+    """Describe joint, time and share of samples of a finding, as far as known."""
+    share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
+    time = None if note.time is None else moment(note.time, 4)
+    return ", ".join(part for part in (note.joint and joint_label(note.joint), time, share) if part)
+
+
+def same_in_several(notes: Sequence[Finding]) -> list[Finding]:
+    """Merge equal findings on several logs, and findings of one kind on many logs into the worst, without time."""
+    alike: dict[tuple[str, str], list[Finding]] = {}
+    for note in notes:
+        alike.setdefault((note.what, note.advice), []).append(note)
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    for same in alike.values():
+        sources = ", ".join(dict.fromkeys(note.source for note in same if note.source))
+        note = replace(same[0], source=sources, time=None) if len(same) > 1 else same[0]
+        groups.setdefault((note.kind, note.joint, note.advice), []).append(note)
+    merged = []
+    for group in groups.values():
+        on_logs = [note for note in group if note.source]
+        if len(on_logs) > APART:
+            worst = max(on_logs, key=lambda note: note.share or 0.0)
+            merged.append(replace(worst, source=f"{worst.source} and {len(on_logs) - 1} more", time=None))
+            group = [note for note in group if not note.source]
+        merged += group
+    return merged
 
 
 def joint_panels(
@@ -55,52 +92,6 @@ def joint_panels(
         lines[robot.joint(joint).unit].append(Series(joint_label(joint), time, values[:, j], colour(j)))
     drawn = [(Axis(f"{what}, {unit}{per}"), tuple(series)) for unit, series in lines.items() if series]
     return [Panel(TIME, axis, series, height=height) for axis, series in drawn]
-
-
-def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
-    """Show the poses of runs nearest to singular poses."""
-    if not nearest:
-        return None
-    listed = table_of(
-        nearest,
-        (Column("run"), "run"),
-        (Column("singularity"), lambda pose: TYPES[pose.type]),
-        (Column("nearest", Kind.NUMBER, 3), "distance"),
-        (Column("at, s", Kind.NUMBER), "time"),
-        (Column("pose, rad or m", wide=True), _pose),
-    )
-    words = "1 at best, 0 at a singular pose; at one of type 1 a motor can move while the tool stands still."
-    return Section("Distance to singular poses", listed, Text(words, style="soft"))
-
-
-def _pose(nearest: NearestPose) -> str:
-    return ", ".join(f"{joint} {round(q, 3) + 0.0:.3g}" for joint, q in nearest.pose.items())
-
-
-def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Panel]:
-    """Draw distances to singular poses along runs, given as name, start (s) and distances."""
-    panels = []
-    for run, start, distances in runs:
-        time = distances["time"] - start
-        series = [
-            Series(name, time, distances[f"type_{kind}"], COLOURS[kind], width=1.4)
-            for kind, name in TYPES.items()
-            if np.isfinite(distances[f"type_{kind}"]).any()
-        ]
-        if len(series) == len(TYPES):  # type 2 magnifies errors
-            limit = np.full(len(time), NEAR_SINGULAR)
-            series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "bad", width=0.8))
-        axis = Axis(series[0].label if len(series) == 1 else "distance", limits=(0.0, 1.05))  # one has no key
-        panels += [Panel(TIME, axis, tuple(series), run, height=1.4)] if series else []
-    return panels
-
-
-def payload_words(run: Run) -> str:
-    """Describe the payload of a run."""
-    if run.payload is None:
-        return "no payload"
-    mass = "of unknown mass" if run.payload.mass is None else f"of {run.payload.mass:g} kg"
-    return f"payload '{run.payload.name}' {mass}"
 
 
 def seconds(run: Run) -> float:
@@ -130,6 +121,41 @@ def valid_share(run: Run) -> float:
 
 
 # The check of an experiment
+
+
+def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:
+    """Describe bandwidth of the motion, position filter and decimation."""
+    decimator, cutoff = preparation.decimator, preparation.cutoff
+    return f"{preparation.bandwidth:.{digits}g} Hz", _low_pass(cutoff, digits), f"{decimator.factor} ({decimator.kind})"
+
+
+def _low_pass(cutoff: float | None, digits: int = 4) -> str:
+    return "none" if cutoff is None else f"{cutoff:.{digits}g} Hz"
+
+
+def settings_of(result: IdentifiedModel) -> dict[str, str]:
+    """List the settings of an identification by name."""
+    preparation = result.preparation
+    bandwidth, low_pass, decimation = preparation_words(preparation, 4)
+    return {
+        "estimator": result.method,
+        "bandwidth of the motion": bandwidth,
+        "position filter": low_pass,
+        "position filter of predictions": ", ".join(map(_low_pass, preparation.prediction_cutoffs)) or low_pass,
+        "decimation": decimation,
+        "rows masked below": f"{100 * preparation.speed_fraction:g} % of the rms speed",
+        **{SHARES.get(name, name.replace("_", " ")): f"{value:.4g}" for name, value in result.statistics.items()},
+    }
+
+
+def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = True) -> Inputs:
+    """List an experiment file, its robot file and its logs; without ``runs`` only the validation logs."""
+    experiment = experiment or read_experiment(path)
+    source = experiment.robot
+    robot = Path(source if isinstance(source, str) else source.file)
+    listed: Sequence = (*(experiment.runs if runs else ()), *experiment.validation)
+    logs = tuple(("log", log) for run in listed for log in run.log)
+    return (("experiment", path), *((("robot", robot),) if robot.exists() else ()), *logs)
 
 
 def check_document(checked: CheckedExperiment) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from gtau.estimation.regression.rows import SLOPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel, estimates_table
 from gtau.report.chart import Axis, Chart, Panel, Series, intervals
-from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
+from gtau.report.torques import RunEvidence
 from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, payload_label, torque_unit
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter

@@ -20,7 +20,6 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.report import parameters
 from gtau.report.chart import TIME, Axis, Chart, Panel, Series, colour
 from gtau.report.charts import figure_of, robot_figure
-from gtau.report.evidence import RunEvidence, gather, settings_of
 from gtau.report.gains import (
     VALUE,
     comparison_page,
@@ -32,9 +31,10 @@ from gtau.report.gains import (
 )
 from gtau.report.html import frame, html as rendered, stamped
 from gtau.report.identification import report_page, verdict_section
-from gtau.report.logs import check_page, distances_panels, seconds
+from gtau.report.logs import check_page, seconds, settings_of
 from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label
-from gtau.report.torques import residual_panels, torques_chart
+from gtau.report.robot import distances_panels
+from gtau.report.torques import RunEvidence, gather, residual_panels, torques_chart
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run

@@ -1,13 +1,15 @@
-"""Show a robot as page and JSON document, and the test of its geometry by logged poses."""
+"""Show a robot as page and JSON document, the test of its geometry by logged poses, and its motion along runs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gtau.estimation.diagnostics.geometry import GeometryTest, percent
+from gtau.estimation.results.conclusions import NEAR_SINGULAR
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singular_distances
@@ -16,6 +18,11 @@ from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, ta
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Joint, Robot
+
+if TYPE_CHECKING:
+    from gtau.estimation.results.estimate import NearestPose
+    from gtau.estimation.results.result import IdentifiedModel
+    from gtau.report.torques import RunEvidence
 
 POSE_DELAY_STD = 0.02  # s; pose delays with a larger standard deviation are not shown
 STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
@@ -26,6 +33,8 @@ ESTIMATED = {
     "tool": "The position of the tool on the body was estimated too.",
     "tracker": "The positions of the tracker (in each run) and its marker were estimated beside the constants.",
 }
+SINGULARITIES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
+COLOURS = {1: "c7", 2: "c6"}  # not among the colours of six joints
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
@@ -244,3 +253,59 @@ def _constants(test: GeometryTest) -> Table:
         (Column("unit"), lambda constant: f"m{constant.unit}"),
         (Column("explains", Kind.NUMBER), lambda constant: percent(constant.share)),
     )
+
+
+# Motion and singular poses
+
+
+def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
+    """Show the robot, and the distances of its motion to singular poses."""
+    used = any(run.used for run in runs)
+    starts = {run.run.name: float(run.run.time[0]) for run in runs}
+    along = zip(result.runs, result.distances, strict=False)  # empty for a loaded result
+    distances = distances_panels((name, starts.get(name, 0.0), run) for name, run in along) if used else []
+    return Section(
+        "Robot and motion",
+        result.robot,
+        singularities_section(result.singularities) if used else None,
+        *(Section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
+        id="robot",
+    )
+
+
+def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
+    """Show the poses of runs nearest to singular poses."""
+    if not nearest:
+        return None
+    listed = table_of(
+        nearest,
+        (Column("run"), "run"),
+        (Column("singularity"), lambda pose: SINGULARITIES[pose.type]),
+        (Column("nearest", Kind.NUMBER, 3), "distance"),
+        (Column("at, s", Kind.NUMBER), "time"),
+        (Column("pose, rad or m", wide=True), _pose),
+    )
+    words = "1 at best, 0 at a singular pose; at one of type 1 a motor can move while the tool stands still."
+    return Section("Distance to singular poses", listed, Text(words, style="soft"))
+
+
+def _pose(nearest: NearestPose) -> str:
+    return ", ".join(f"{joint} {round(q, 3) + 0.0:.3g}" for joint, q in nearest.pose.items())
+
+
+def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Panel]:
+    """Draw distances to singular poses along runs, given as name, start (s) and distances."""
+    panels = []
+    for run, start, distances in runs:
+        time = distances["time"] - start
+        series = [
+            Series(name, time, distances[f"type_{kind}"], COLOURS[kind], width=1.4)
+            for kind, name in SINGULARITIES.items()
+            if np.isfinite(distances[f"type_{kind}"]).any()
+        ]
+        if len(series) == len(SINGULARITIES):  # type 2 magnifies errors
+            limit = np.full(len(time), NEAR_SINGULAR)
+            series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "bad", width=0.8))
+        axis = Axis(series[0].label if len(series) == 1 else "distance", limits=(0.0, 1.05))  # one has no key
+        panels += [Panel(TIME, axis, tuple(series), run, height=1.4)] if series else []
+    return panels

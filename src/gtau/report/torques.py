@@ -1,21 +1,25 @@
-"""Show measured and predicted torques, their residuals, and external torques."""
+"""Predict runs, and show measured and predicted torques, their residuals, and external torques."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
+from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
+from gtau.findings import Finding, Progress, silent
 from gtau.report.chart import TIME, Axis, Chart, Panel, Series, colour
-from gtau.report.evidence import RunEvidence
-from gtau.report.logs import payload_words
 from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
+from gtau.signals.run import Run
 from gtau.uses.external_torques import TorquesAlongLog
-from gtau.uses.prediction import Prediction
+from gtau.uses.prediction import Prediction, predict, torque_errors
+from gtau.uses.weigh import undeclared_load
 
 REVERSALS = (
     "Raw: against the measured torque. In band: both behind the low-pass filter of the identification, with reversals. "
@@ -35,11 +39,77 @@ EXTERNAL = Text(
     ),
 )
 SEEN = "seen: share of samples whose pose shows the component; elsewhere the component has no value."
+LONGEST = 300_000  # samples; of longer runs only the beginning is predicted
 SHORTEST = 1e-3  # of the duration: stretches closer together are shaded as one
 SEGMENT = 256  # most samples in a segment of the spectrum
 FEWEST = 16  # samples needed for a statistic
 Residuals = Sequence[tuple[np.ndarray, np.ndarray]]
 """Times (K,) in s on a uniform grid and residuals (K,) of each run, NaN where masked."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunEvidence:
+    """A run that the model was identified from (``used``) or not, and its prediction, or the reason for having none."""
+
+    run: Run
+    used: bool
+    prediction: Prediction | None = None  # at the rows of the identification, behind its low-pass filter
+    samples: Prediction | None = None  # at every sample, raw, if asked for
+    errors: tuple[TorqueError, ...] = ()  # of each joint over all samples
+    refusal: str = ""
+    cut: bool = False  # only the beginning of the run is shown
+    notes: tuple[Finding, ...] = ()  # undeclared load at the tool, and assumptions of the prediction
+
+    @property
+    def time(self) -> np.ndarray:
+        """Instants of the prediction from the start of the run, (K,) in s."""
+        assert self.prediction is not None
+        return np.asarray(self.prediction.time - float(self.run.time[0]))
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """Measured minus predicted torques (K, n), NaN at masked samples (:class:`Prediction`, ``keep``)."""
+        assert self.prediction is not None
+        return np.where(self.prediction.keep, self.prediction.measured - self.prediction.predicted, np.nan)
+
+
+def gather(
+    result: IdentifiedModel, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
+) -> tuple[RunEvidence, ...]:
+    """Predict the runs of an identification and of its validation; one that cannot be predicted gets a ``refusal``."""
+    listed = [(run, True) for run in runs] + [(run, False) for run in validation]
+    gathered = []
+    for k, (run, used) in enumerate(listed):
+        progress("report", k, len(listed))
+        try:
+            gathered.append(predicted(result, run, used, progress=progress))
+        except GtauError as refusal:
+            gathered.append(RunEvidence(run, used, refusal=str(refusal)))
+    progress("report", len(listed), len(listed))
+    return tuple(gathered)
+
+
+def predicted(
+    result: IdentifiedModel, run: Run, used: bool = False, whole: bool = False, progress: Progress = silent
+) -> RunEvidence:
+    """Predict a run, or its beginning unless ``whole``, and look for an undeclared load; raises GtauError."""
+    cut = not whole and len(run.time) > LONGEST
+    beginning: dict[str, Any] = {
+        name: np.asarray(getattr(run, name)[:LONGEST]) for name in ("time", "position", "command", "valid")
+    }
+    prediction = predict(result, replace(run, **beginning) if cut else run)
+    errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
+    load = None if used or cut else undeclared_load(result, run, errors, progress)
+    notes = (*((load,) if load else ()), *prediction.notes)
+    return RunEvidence(run, used, prediction.rows, prediction if whole else None, errors, cut=cut, notes=notes)
+
+
+def payload_words(run: Run) -> str:
+    """Describe the payload of a run."""
+    if run.payload is None:
+        return "no payload"
+    mass = "of unknown mass" if run.payload.mass is None else f"of {run.payload.mass:g} kg"
+    return f"payload '{run.payload.name}' {mass}"
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:

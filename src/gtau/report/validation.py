@@ -12,11 +12,11 @@ from gtau.estimation.results.model_file import payload_documents, torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade, percents, to_width
-from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_section, payloads_section
-from gtau.report.logs import logs_section, motion_section, unique_names
+from gtau.report.logs import logs_section, unique_names
 from gtau.report.page import Column, Kind, Page, Section, Text, table_of
-from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_section
+from gtau.report.robot import motion_section
+from gtau.report.torques import REVERSALS, RunEvidence, bands_section, errors_table, torques_section
 from gtau.uses.weigh import FRICTION_CHANGE, GAIN_CHANGE
 
 CAUTION = (
