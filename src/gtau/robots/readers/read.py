@@ -133,7 +133,7 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
 
             return read_par(path) if ending == ".par" else read_mdh_csv(path)
         case ".xacro" if path.is_file():
-            from gtau.robots.readers.xacro import expanded
+            from gtau.documents.expressions import expanded
 
             with expanded(path, written.xacro, written.packages) as urdf:
                 return _from_urdf(urdf, base, path.parent)
