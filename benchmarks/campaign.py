@@ -29,7 +29,7 @@ from gtau.campaigns.decision import write_experiment  # noqa: E402
 from gtau.campaigns.folder import read_design_file, read_rounds  # noqa: E402
 from gtau.campaigns.rehearsal import rehearse, write_motion  # noqa: E402
 from gtau.documents.files import folder_of  # noqa: E402
-from gtau.documents.yaml_document import yaml_text  # noqa: E402
+from gtau.documents.markup import yaml_text  # noqa: E402
 from gtau.errors import GtauError  # noqa: E402
 from gtau.excitation.design import Design, check  # noqa: E402
 from gtau.excitation.design_file import make_task  # noqa: E402

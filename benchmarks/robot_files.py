@@ -27,13 +27,13 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from free_flyer import free_state, pinocchio_state
 
+from gtau.documents.markup import read_xml
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.model.singularities import random_motion
 from gtau.robots.placement import exact_angle
-from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import Robot
 
 SAME = 1e-9  # share of the largest torque

@@ -29,7 +29,7 @@ from gtau.campaigns.page import campaign_page
 from gtau.campaigns.rehearsal import Rehearsal, check_contacts, write_motion
 from gtau.cli.commands import app
 from gtau.documents.files import write_table
-from gtau.documents.yaml_document import read_yaml
+from gtau.documents.markup import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.known.friction_drift import EFFECT as FRICTION_DRIFT

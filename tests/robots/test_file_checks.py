@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from gtau.documents.markup import line_of, read_xml
 from gtau.errors import GtauError
 from gtau.robots.readers.read import read_robot
-from gtau.robots.readers.xml_document import line_of, read_xml
 
 LINK = """<link name="{name}"><inertial><mass value="{mass}"/>
 <inertia ixx="{xx}" iyy="1" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial></link>

@@ -12,6 +12,7 @@ import pytest
 from engines import closed_torques, random_parameters
 from scipy.spatial.transform import Rotation
 
+from gtau.documents.markup import read_xml
 from gtau.errors import GtauError
 from gtau.estimation.regression.priors import stated_inertias
 from gtau.model.home import load_robot
@@ -22,7 +23,6 @@ from gtau.robots.readers.mjcf import as_written, read_mjcf
 from gtau.robots.readers.mjcf_file import compile_mjcf, refuse_deadly
 from gtau.robots.readers.native import read_native, write_native
 from gtau.robots.readers.source import RobotSource
-from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, INERTIAL, Coupling, Robot
 
 mujoco = pytest.importorskip("mujoco")

@@ -9,7 +9,7 @@ import pinocchio
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from gtau.documents.yaml_document import read_yaml
+from gtau.documents.markup import read_yaml
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.robots.placement import exact_angle, in_degrees

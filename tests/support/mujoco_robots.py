@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from plausible_parameters import random_bodies
 
-from gtau.documents.yaml_document import yaml_text
+from gtau.documents.markup import yaml_text
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot

@@ -14,7 +14,7 @@ import numpy as np
 from gtau.campaigns.candidates import widths
 from gtau.campaigns.folder import WARM_UP, Round
 from gtau.documents.files import write_atomically
-from gtau.documents.yaml_document import yaml_text
+from gtau.documents.markup import yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import APART
 from gtau.estimation.effects.effect import EstimatedEffect

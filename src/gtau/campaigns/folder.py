@@ -14,8 +14,8 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, FiniteFloat
 
 from gtau.documents.files import digest_of, folder_of, json_in, system_refusals, write_atomically
+from gtau.documents.markup import Document, read_yaml, yaml_text
 from gtau.documents.validation import Keys, Positive, validate
-from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
 from gtau.excitation.design_file import DesignFile
 from gtau.model.home import load_robot

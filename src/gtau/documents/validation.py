@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from gtau.documents.yaml_document import Document, KeyPath
+from gtau.documents.markup import Document, KeyPath
 from gtau.errors import GtauError, meant
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from gtau.documents.files import LOG, ROBOT, kind_of, write_atomically
-from gtau.documents.yaml_document import yaml_text
+from gtau.documents.markup import yaml_text
 from gtau.doors.command import Answer, Command, within
 from gtau.errors import GtauError
 from gtau.model.home import load_robot

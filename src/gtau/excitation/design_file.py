@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.files import DESIGN, refuse_other_kind
+from gtau.documents.markup import read_yaml
 from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, validate
-from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.electrical import COMMUTATION
 from gtau.excitation.clearance import Capsule, Shape, hull

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.documents.files import read_at_most
+from gtau.documents.markup import numbers
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.excitation.clearance import FIXED, FLOOR, Capsule, Clearance, Floor, Pair, Shape, bounding_capsule, clearance
@@ -21,7 +22,6 @@ from gtau.model.singularities import random_motion
 from gtau.robots.geometry import places_on
 from gtau.robots.readers.source import Base
 from gtau.robots.readers.urdf_tree import origin_of, read_urdf_tree
-from gtau.robots.readers.xml_document import numbers
 from gtau.robots.robot import GROUND, Joint, Robot
 
 SLENDER = 0.04  # radius of a link of unknown shape over the arm's length: UR10e 0.07 m, Panda 0.06 m

@@ -25,7 +25,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from gtau.documents.files import identifier
-from gtau.documents.yaml_document import yaml_text
+from gtau.documents.markup import yaml_text
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export import urdf

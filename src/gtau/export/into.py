@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.documents.files import identifier
+from gtau.documents.markup import read_xml
 from gtau.errors import GtauError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export import mjcf, urdf
@@ -24,7 +25,6 @@ from gtau.model.home import load_robot
 from gtau.model.kinematics import frames
 from gtau.robots.parameter import Parameter, RigidBody, rigid_body
 from gtau.robots.readers.mjcf_file import SHAPES, compile_mjcf
-from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import SPRING, STIFFNESS, Robot
 from gtau.simulation.mujoco_plant import spring_attributes
 

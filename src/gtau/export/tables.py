@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from gtau.documents.files import identifier, in_csv
-from gtau.documents.yaml_document import yaml_text
+from gtau.documents.markup import yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel, estimates_frame, estimates_table

@@ -15,8 +15,8 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, model_validator
 
 from gtau.documents.files import digest_of, folder_of, in_order, matching, write_atomically
+from gtau.documents.markup import read_yaml
 from gtau.documents.validation import FUNCTION, NAMES, PATH, TEXT, WHOLE, Keys, takes, validate
-from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.estimator import Gains

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from gtau.documents.markup import Document
 from gtau.documents.validation import MAPPING, NAMES, some_of, takes, validate
-from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError, errors_at
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import (

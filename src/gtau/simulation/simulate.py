@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.files import SIMULATION, folder_of, refuse_other_kind, write_atomically
+from gtau.documents.markup import Document, read_yaml, yaml_text
 from gtau.documents.validation import FUNCTION, PATH, Keys, Positive, expect, takes, validate
-from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.results.model_file import load

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from gtau.documents.markup import Document
 from gtau.documents.validation import MAPPING, MASSES, NAMES, NUMBER, PATH, TEXT, expect, takes, validate
-from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation import identify as estimation
 from gtau.estimation.experiment_runs import Options, Source, Subject, describe, read, read_validation

@@ -24,8 +24,8 @@ from pydantic import (
 )
 
 from gtau.documents.files import MODEL, json_in, refuse_other_kind, system_refusals, write_atomically
+from gtau.documents.markup import Document
 from gtau.documents.validation import LARGEST, Positive, unknown, validate
-from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.geometry import GeometryTest, from_document, to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit

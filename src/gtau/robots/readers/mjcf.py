@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gtau.documents.markup import position_limits, read_xml
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import base_joints, turning
 from gtau.robots.parameter import Parameter, RigidBody, lumped
@@ -20,7 +21,6 @@ from gtau.robots.placement import pose_of, rounded, turn
 from gtau.robots.readers import mjcf_drives, mjcf_file
 from gtau.robots.readers.mjcf_file import MjcfFile, mujoco, name_in, pose_in, rotation_in
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice
-from gtau.robots.readers.xml_document import position_limits, read_xml
 from gtau.robots.robot import (
     GROUND,
     ROTATIONS,

@@ -25,10 +25,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gtau.documents.markup import LARGEST, all_numbers, decimals, line_of, read_xml
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, needing
 from gtau.robots import placement
-from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
 from gtau.robots.robot import Pose, refuse_many
 
 MOST_FILES = 100  # hands and humanoids have fewer than ten

@@ -9,8 +9,8 @@ from typing import Any
 
 from gtau.documents.expressions import RESERVED, evaluate
 from gtau.documents.files import write_atomically
+from gtau.documents.markup import Document, read_yaml, yaml_text
 from gtau.documents.validation import validate
-from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import base_joints
 from gtau.robots.placement import Mdh, Placement, Pose, exact_placement, short_angles_note

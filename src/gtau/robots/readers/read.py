@@ -17,7 +17,7 @@ from types import ModuleType
 import numpy as np
 
 from gtau.documents.files import ROBOT, refuse_other_kind
-from gtau.documents.yaml_document import read_yaml
+from gtau.documents.markup import read_yaml
 from gtau.errors import GtauError, errors_at, meant
 from gtau.extensions import added, registered
 from gtau.robots.geometry import drawn_base, float_base

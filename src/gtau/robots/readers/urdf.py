@@ -19,8 +19,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from pydantic import field_validator
 
+from gtau.documents.markup import all_numbers, attribute, line_of, numbers, read_yaml
 from gtau.documents.validation import Keys, some_of, unknown, validate
-from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import drawn_base
 from gtau.robots.parameter import RigidBody, lumped
@@ -28,7 +28,6 @@ from gtau.robots.parts import listed, without_idle_pins
 from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
 from gtau.robots.readers.source import BaseChoice
 from gtau.robots.readers.urdf_tree import WORLD, UrdfTree, axis_of, driven_joints, origin_of, read_urdf_tree
-from gtau.robots.readers.xml_document import all_numbers, attribute, line_of, numbers
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose, Robot, RobotFile
 
 POINTS = {"spherical": 1, "ball": 1, "revolute": 2, "continuous": 2}

@@ -10,12 +10,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from gtau.documents.markup import LARGEST, attribute, decimals, line_of, numbers, position_limits, read_xml
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import turning
 from gtau.robots.placement import ROUNDING, exact_placement, in_degrees, rounded, short_angles_note
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.xml_document import LARGEST, attribute, decimals, line_of, numbers, position_limits, read_xml
 from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, JointKind, Limits, Placement, Pose, refuse_many
 
 LOOSE = ("floating", "planar")

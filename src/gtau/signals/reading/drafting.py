@@ -12,7 +12,7 @@ from typing import Any, Literal
 from zlib import crc32
 
 from gtau.documents.files import folder_of, write_atomically
-from gtau.documents.yaml_document import yaml_text
+from gtau.documents.markup import yaml_text
 from gtau.errors import GtauError, printable
 from gtau.findings import Finding, Grade, counted
 from gtau.model.home import load_robot

@@ -19,8 +19,8 @@ from pydantic import (
 )
 
 from gtau.documents.files import EXPERIMENT, NO_FILE, beside, matching, refuse_other_kind
+from gtau.documents.markup import read_yaml
 from gtau.documents.validation import PATH, Keys, Positive, takes, validate
-from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, meant
 from gtau.findings import Finding
 from gtau.robots.parameter import Parameter

@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
+from gtau.documents.markup import Document
 from gtau.documents.validation import Keys, Positive, text_or_group
-from gtau.documents.yaml_document import Document
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideSignal
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns
 from gtau.signals.reading.columns import PRESETS, SENSORS, Signals, optional_keys
