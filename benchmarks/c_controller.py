@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import gtau
-from gtau.demo.run import make_experiment
+from gtau.demo import make_experiment
 from gtau.findings import silent
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.reading.statements import Payload

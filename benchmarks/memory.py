@@ -25,7 +25,7 @@ from time import perf_counter
 import numpy as np
 import polars as pl
 
-from gtau.demo.run import DRIVE_GAINS, MASSES, SIMULATION
+from gtau.demo import DRIVE_GAINS, MASSES, SIMULATION
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 

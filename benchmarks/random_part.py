@@ -83,7 +83,7 @@ def make_case(source: str, repeated: bool = False) -> Case:
     robot = load_robot(source)
     model, rng = InverseDynamics(robot), np.random.default_rng(SEED)
     if source == "orthoglide":
-        from gtau.demo.run import SIMULATION
+        from gtau.demo import SIMULATION
 
         chi = SIMULATION.parameters
     else:

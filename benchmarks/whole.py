@@ -23,7 +23,7 @@ from peers import ExcitationByHand, figaroh_wls, gains_by_hand, random_parameter
 from table import Row, check, medians, motion
 
 import gtau
-from gtau.demo.run import MASSES, SIMULATION
+from gtau.demo import MASSES, SIMULATION
 from gtau.excitation.design_file import read_design
 from gtau.excitation.nlp import Programme
 from gtau.model.home import load_robot

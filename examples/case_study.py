@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from case_study_figures import payload_chart, references_chart, tracking_chart, trajectory_chart
 from control_comparison import STRATEGIES, ControlComparison, compare_control
 
-from gtau.demo.run import (
+from gtau.demo import (
     CASES,
     DRIVE_GAINS,
     LOGS,
@@ -142,7 +142,7 @@ def main(docs: Path, duration: float = DURATION, progress: Progress = silent) ->
 
 
 def run(folder: Path, progress: Progress) -> Study:
-    """Identify, weigh, predict and control with the files that :func:`gtau.demo.run.make_experiment` wrote."""
+    """Identify, weigh, predict and control with the files that :func:`gtau.demo.make_experiment` wrote."""
     experiment = folder / "experiment.yaml"
     result = identify(experiment, progress=progress)
     weighings = {}

@@ -1,4 +1,4 @@
-"""Pages of the documentation, which messages name by the command that prints them, and what findings mean."""
+"""Pages of the documentation, which messages name by their command, what findings mean, and logs of the tutorial."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from math import inf
 from pathlib import Path
 
+from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError, UnknownName, quoted
 
 HOME = Path(__file__).parent
@@ -77,3 +78,19 @@ def _likeness(row: dict[str, str], finding: str) -> float:
     parts = [part.strip().lower() for part in row["message"].split("…") if part.strip()]
     length = sum(map(len, parts))
     return length if length >= SHORTEST and re.search(".*".join(map(re.escape, parts)), finding) else 0
+
+
+def write_tutorial(out: Path) -> list[Path]:
+    """Copy the tutorial logs to a folder, created if missing, and return their paths.
+
+    Raises GtauError where that cannot be written to, or has a log of that name with other content.
+    """
+    logs = {
+        folder_of(out) / log.name: log.read_bytes() for log in sorted((HOME / "demo" / "tutorial_logs").glob("*.csv"))
+    }
+    for copy, content in logs.items():
+        if copy.exists() and copy.read_bytes() != content:
+            raise GtauError(f"{copy} exists already, with other content; give another folder, or remove it.")
+    for copy, content in logs.items():
+        write_atomically(copy, content)
+    return list(logs)

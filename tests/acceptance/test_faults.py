@@ -12,7 +12,7 @@ from five_bar_logs import GAINS as FIVE_BAR_GAINS, STEEL, Plant
 from orthoglide_logs import experiment
 
 import gtau.model.base_parameters
-from gtau.demo.run import DRIVE_GAINS
+from gtau.demo import DRIVE_GAINS
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import TOOL_BODY
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from orthoglide_logs import orthoglide
 
-from gtau.demo.run import SIMULATION
+from gtau.demo import SIMULATION
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved, delays_lost_in_noise

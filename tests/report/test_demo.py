@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.demo.run import COMMANDS, CONTENT, LOGS, MASSES, SIMULATION, demo
+from gtau.demo import COMMANDS, CONTENT, LOGS, MASSES, SIMULATION, demo
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot

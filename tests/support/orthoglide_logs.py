@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from gtau.demo.run import DRIVE_GAINS, SIMULATION
+from gtau.demo import DRIVE_GAINS, SIMULATION
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.reading.statements import Payload

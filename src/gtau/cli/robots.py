@@ -173,7 +173,7 @@ def demo(
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload."""
     hold(out)
     with progress_bar() as progress:
-        from gtau.demo.run import demo as run
+        from gtau.demo import demo as run
 
         document, page = run(folder_of(out), progress)
     answer(json_, lambda: document, lambda: page)
@@ -184,7 +184,7 @@ def tutorial(
     out: Annotated[Path, argument("DIR", "Folder for the logs.")] = Path("tutorial"), json_: Json = False
 ) -> None:
     """Copy the logs of the tutorial ('gtau docs tutorial') to a folder."""
-    from gtau.demo import write_tutorial
+    from gtau.pages import write_tutorial
 
     written = write_tutorial(out)
     answer(json_, lambda: {"files": [str(path) for path in written]}, written=written)
