@@ -148,6 +148,11 @@ def read_yaml(path: str | Path) -> Document:
     return Document(path, text)
 
 
+def own_table(module: str, name: str) -> Any:
+    """Read a YAML file of gtau that stands beside a module (its ``__file__``)."""
+    return yaml.load(Path(module).with_name(name).read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
 SYNTAX = (
     ("that cannot start any token", "a tab or a special character begins it; indent with spaces, or quote a value"),
     ("mapping values are not allowed", "a key stands deeper than the one above, or a value has ':'; align or quote it"),

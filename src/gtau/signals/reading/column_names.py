@@ -15,36 +15,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 
+from gtau.documents.markup import own_table
 from gtau.errors import GtauError
 from gtau.findings import counted
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SIDE_SIGNALS, SUPPLY
 from gtau.signals.reading.units import WrittenUnit, read_unit, split_unit
 
-WORDS: dict[str, frozenset[str]] = {
-    kind: frozenset(words.split())
-    for kind, words in {
-        "time": "t tout time timestamp datetime date stamp sec secs second seconds nanosec nsec nsecs nanosecond "
-        "nanoseconds zeit zeitstempel uhrzeit datum tiempo hora fecha temps heure horodatage tempo "
-        "时间 時間 时刻 時刻 시간 시각",
-        "position": "q qm pos position positions angle angles theta qpos posn enc encoder encoders winkel lage "
-        "stellung posicion angulo posizione angolo 位置 角度 转角 轉角 关节角 関節角 位移 変位 위치 각도 변위",
-        "velocity": "dq qd qdm vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad "
-        "vitesse velocita 角速度 速度 转速 轉速 回転数 각속도 속도",
-        "acceleration": "ddq qdd qddm acc accel acceleration beschleunigung aceleracion accelerazione 加速度 가속도",
-        "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente 电流 電流 전류",
-        "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza "
-        "力矩 扭矩 转矩 轉矩 トルク 토크",
-        "motor": "motor moteur motore 电机 電機 モーター モータ 모터",
-        "reference": "ref reference target desired des cmd commanded con demand demanded setpoint goal d soll sollwert "
-        "consigne consigna referencia riferimento 目标 目標 指令 给定 期望 설정 목표 지령",
-        "measured": "meas measured act actual ist istwert present fb feedback mesure medida real misura "
-        "实际 實際 反馈 反饋 実際 実測 실제 실측",
-        "other": "ext external mocap grav gravity err error latency voltage rate success filtered age "
-        "fric friction comp compensation coriolis ff feedforward limit limits enable enabled mode status flag "
-        "误差 誤差 오차 偏差 편차",
-    }.items()
-}
+WORDS = {kind: frozenset(words.split()) for kind, words in own_table(__file__, "words.yaml").items()}
 SIDE = frozenset[str]().union(SUPPLY, *(signal.words for signal in SIDE_SIGNALS))
 WORDS["other"] |= SIDE - WORDS["time"] - WORDS["current"]  # temps
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, create_model, field_validator, model_validator
 
+from gtau.documents.markup import own_table
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns, refuse_repeated
@@ -15,27 +16,7 @@ from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColum
 # Hz; of drives that are logged. Logs polled at 10 Hz reach 9; logs of 5 kHz in ms look like 5 Hz in s.
 LEAST_RATE, LARGEST_RATE = 6.0, 5e4
 
-_JOINT_STATES = {"time": "/joint_states/header/stamp", "position": "/joint_states/{joint}/position"}
-_EFFORT = "/joint_states/{joint}/effort"
-_COMPENSATED = {"gravity": [0, 0, 0]}
-PRESETS: Mapping[str, Mapping[str, Any]] = {
-    "ur_rtde": {"time": "timestamp", "position": "actual_q_{k}", "current": "actual_current_{k}"},
-    "ur_rtde_torque": {
-        "time": "timestamp",
-        "position": "actual_q_{k}",
-        "torque": "actual_current_as_torque_{k}",
-        "robot": _COMPENSATED,
-    },
-    "ur-current": _JOINT_STATES | {"current": _EFFORT},
-    "ur-torque": _JOINT_STATES | {"torque": _EFFORT, "robot": _COMPENSATED},
-    "franka-ros": _JOINT_STATES | {"torque": _EFFORT},
-    "kinova": _JOINT_STATES | {"torque": _EFFORT},
-    "lerobot": {"time": "timestamp", "position": "observation.state[{n}]", "current": "observation.current[{n}]"},
-    "franka": {"time": "time", "units": {"time": "ms"}, "position": "state.q[{k}]", "torque": "state.tau_J[{k}]"},
-    "plotjuggler": {"time": "__time", "position": "/joint_states/{joint}/position", "torque": _EFFORT},
-}
-"""Entries of an experiment file: the time column and its unit, columns by joint, its number from 0 (``{k}``) or 1
-(``{n}``) or its name, and the gravity of a robot whose controller compensates it in the torques."""
+PRESETS: Mapping[str, Mapping[str, Any]] = own_table(__file__, "presets.yaml")
 
 
 def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from gtau.documents.markup import Document
+from gtau.documents.markup import Document, own_table
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideSignal
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns
@@ -242,27 +242,11 @@ class Units(optional_keys(Optional)):  # type: ignore[misc]
         return ratio * SHARES[unit] * self.rated[joint]
 
 
-SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
-    "time": "s: s sec secs second seconds sek 秒 초; ms: ms msec msecs millis milliseconds 毫秒 ミリ秒 밀리초; "
-    "us: us usec usecs microseconds; ns: ns nsec nsecs nanoseconds; min: min minutes",
-    # in German, Grad is no gon
-    "position": "rad: rad rads radian radians radiant 弧度 ラジアン 라디안; mrad: mrad; "
-    "deg: deg degs degree degrees ° 度 도 grad grado gradi; cdeg: cdeg; mdeg: mdeg millideg; arcmin: arcmin; "
-    "arcsec: arcsec; gon: gon gons; m: m meter meters metre metres; mm: mm millimeter; cm: cm; um: um micron microns; "
-    "inch: inch inches; turn: turn turns rev revs revolution revolutions rot rotation rotations umdr umdrehungen tours",
-    "current": "A: a amp amps ampere amperes arms aeff 安 安培 アンペア 암페어; "
-    "mA: ma mamp mamps milliamp milliamps milliampere milliamperes marms 毫安",
-    "torque": "N m: nm 牛米 newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; "
-    "dN m: dnm; daN m: danm; kN m: knm; kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; "
-    "gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; "
-    "ozf inch: ozin ozfin inoz; N: n newton newtons; kN: kn; kgf: kgf kp",
-    "share": "%: % percent pct prozent; ‰: ‰ permille promille 0.1% 1/1000",
-    "other": ": v mv volt volts w watt watts kw hz khz °c degc c celsius k kelvin bar pa j bool",
-}
+SPELLINGS = own_table(__file__, "units.yaml")
 UNITS = {
     spelling: (what, unit)
     for what, units in SPELLINGS.items()
-    for unit, spellings in (entry.split(": ") for entry in units.split("; "))
+    for unit, spellings in units.items()
     for spelling in spellings.split()
 }
 LONGEST = 40  # characters
