@@ -85,9 +85,8 @@ def write_tutorial(out: Path) -> list[Path]:
 
     Raises GtauError where that cannot be written to, or has a log of that name with other content.
     """
-    logs = {
-        folder_of(out) / log.name: log.read_bytes() for log in sorted((HOME / "demo" / "tutorial_logs").glob("*.csv"))
-    }
+    shipped = sorted((HOME / "demo" / "tutorial_logs").glob("*.csv"))
+    logs = {folder_of(out) / log.name: log.read_bytes() for log in shipped}
     for copy, content in logs.items():
         if copy.exists() and copy.read_bytes() != content:
             raise GtauError(f"{copy} exists already, with other content; give another folder, or remove it.")

@@ -243,9 +243,8 @@ class _Expression:
                 result = self.value(last) if result is self else result
             case ast.Compare(left=left, ops=signs, comparators=others):
                 terms = [self.value(term) for term in (left, *others)]
-                result = all(
-                    XACRO_OPERATORS[type(sign)](*pair) for sign, *pair in zip(signs, terms, terms[1:], strict=False)
-                )
+                pairs = zip(signs, terms, terms[1:], strict=False)
+                result = all(XACRO_OPERATORS[type(sign)](*pair) for sign, *pair in pairs)
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 result = self.value(body if self.value(test) else orelse)
             case ast.List(elts=items) | ast.Tuple(elts=items):

@@ -43,11 +43,9 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
             unfinished.unlink()
         if not isinstance(error, OSError):
             raise
-        why = error.strerror
-        advice = (
-            "make its folder" if isinstance(error, FileNotFoundError) else "choose another folder or free some space"
-        )
-        raise GtauError(f"{path} cannot be written ({why}); {advice}.") from None
+        lacks_folder = isinstance(error, FileNotFoundError)
+        advice = "make its folder" if lacks_folder else "choose another folder or free some space"
+        raise GtauError(f"{path} cannot be written ({error.strerror}); {advice}.") from None
 
 
 def in_csv(table: pl.DataFrame) -> str:

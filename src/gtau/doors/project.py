@@ -115,14 +115,12 @@ class Project:
 
     def points(self) -> list[str]:
         """List the lines of a draft that a user is to confirm, with what to confirm."""
-        return [f"{match[1].strip(' :')}: {match[2]}" for match in CHECK.finditer(self.text)]
+        return list(map(_point, CHECK.finditer(self.text)))
 
     def confirm(self, point: str) -> None:
         """Remove the mark of a point that the user has confirmed."""
         with self._lock:
-            text = CHECK.sub(
-                lambda match: match[1] if f"{match[1].strip(' :')}: {match[2]}" == point else match[0], self.text
-            )
+            text = CHECK.sub(lambda match: match[1] if _point(match) == point else match[0], self.text)
             write_atomically(self.file, text)
 
     def exchange(self, point: str) -> None:
@@ -308,6 +306,10 @@ def settings_in(advice: str) -> list[str]:
     """List the settings of an experiment file that an advice writes out."""
     settings = [match[1] for match in SETTING.finditer(advice)]
     return [setting for setting in settings if setting.partition(":")[0] in Experiment.model_fields]
+
+
+def _point(match: re.Match[str]) -> str:
+    return f"{match[1].strip(' :')}: {match[2]}"
 
 
 def _is_log(path: Path) -> bool:

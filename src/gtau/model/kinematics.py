@@ -132,11 +132,9 @@ class Coordinates:
         moved, n_t = c.copy(), len(self.robot.joints)
         moved[:n_t] += step[:n_t]
         for slots in self.platforms:
-            displacement = dict(zip(slots.platform.dof, step[slots.rates], strict=True))
+            moves = dict(zip(slots.platform.dof, step[slots.rates], strict=True))
             zero = np.zeros(c.shape[1])
-            shift, turn = (
-                np.stack([displacement.get(dof, zero) for dof in dofs]) for dofs in (TRANSLATIONS, ROTATIONS)
-            )
+            shift, turn = (np.stack([moves.get(dof, zero) for dof in dofs]) for dofs in (TRANSLATIONS, ROTATIONS))
             moved[slots.position] += shift
             if slots.quaternion is not None:
                 before = _rotations().from_quat(c[slots.quaternion].T, scalar_first=True)

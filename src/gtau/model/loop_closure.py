@@ -292,9 +292,8 @@ def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> No
     ties = np.linalg.svd(free)[2][n - excess :]  # and its orthogonal complement, which they cannot move
     stuck = np.abs(free).max(axis=0, initial=0.0) < 1e-9
     tied = np.abs(ties).max(axis=0) > 1e-6
-    fixed, apart = (
-        [name for name, it in zip(robot.actuated, which, strict=True) if it] for which in (stuck, tied & ~stuck)
-    )
+    names = np.array(robot.actuated)
+    fixed, apart = names[stuck].tolist(), names[tied & ~stuck].tolist()
     why = [f"the closures hold {', '.join(fixed)} fixed"] * bool(fixed)
     why += [f"loops or couplings tie {', '.join(apart)} at home"] * bool(apart)
     raise GtauError(

@@ -76,9 +76,8 @@ def figure_of(chart: Chart) -> Figure:
     heights = [max(panel.height for panel in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
     with styled():
         figure = ShownFigure(figsize=(WIDTH, 0.5 + 1.15 * sum(heights)), layout="constrained")
-        grid = figure.subplots(
-            rows, chart.columns, squeeze=False, height_ratios=heights, sharex="col" if chart.live else "none"
-        )
+        shared: Any = "col" if chart.live else "none"
+        grid = figure.subplots(rows, chart.columns, squeeze=False, height_ratios=heights, sharex=shared)
         places = grid.reshape(-1)
         for axes, panel in zip(places, chart.panels, strict=False):
             _draw(axes, panel, last=not chart.live or axes in grid[-1])
@@ -171,11 +170,9 @@ def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
         ticks.set_major_locator(MaxNLocator(5, steps=STEPS))
     if axis.names:
         shown = list(axis.names.items())[:: ceil(SMALLEST * len(axis.names) / NAMES)]
-        names = [name for _, name in shown]
-        ticks.set_ticks(
-            [place for place, _ in shown], names, fontsize=size_of_names(axis, float(rcParams["font.size"]))
-        )
-        long = sum(len(name) + 1 for _, name in shown) > LEVEL
+        places, names = zip(*shown, strict=True)
+        ticks.set_ticks(places, names, fontsize=size_of_names(axis, float(rcParams["font.size"])))
+        long = sum(len(name) + 1 for name in names) > LEVEL
         ticks.set_tick_params(rotation=90 if which == "x" and long else 0)
     if any(end is not None for end in axis.limits):
         axes.set(**{f"{which}lim": axis.limits})

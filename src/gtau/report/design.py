@@ -44,9 +44,8 @@ def trajectory_table(task: DesignProblem, time: np.ndarray, joints: np.ndarray) 
 
     columns = {"t": np.round(time, DIGITS)}
     for kind, rows in zip(("q", "qd", "qdd"), joints, strict=False):
-        columns |= {
-            Parameter(kind, joint): np.round(row, DIGITS) for joint, row in zip(task.model.actuated, rows, strict=True)
-        }
+        for joint, row in zip(task.model.actuated, rows, strict=True):
+            columns[Parameter(kind, joint)] = np.round(row, DIGITS)
     return pl.DataFrame(columns)
 
 
@@ -114,13 +113,11 @@ def _finite(value: float) -> float | None:
 
 def design_summary(outlook: Outlook) -> Page:
     """Show on one screen what to expect of a design, the limits it comes nearest to, and what it takes for granted."""
-    expected, uncertain = outlook.forecast, len(outlook.weak)
+    expected, weak = outlook.forecast, len(outlook.weak)
     nearest = [f"{use.what}: {100 * use.excess:.0f} % of the limit, {use.allowed}" for use in outlook.usages[:NEAREST]]
     guards = tuple(guard.partition("; ")[0] for guard in outlook.task.guards)
-    points = [f"{uncertain} of {len(expected.parameters)} parameters are not determined (std above 30 %)"] * bool(
-        uncertain
-    )
-    points += [CUT_SHORT] * outlook.design.cut_short
+    of_all = f"{weak} of {len(expected.parameters)} parameters"
+    points = [f"{of_all} are not determined (std above 30 %)"] * bool(weak) + [CUT_SHORT] * outlook.design.cut_short
     return Page(
         f"Exciting motion for {outlook.robot.name}",
         Section("", replace(_verdict(outlook), points=tuple(points))),

@@ -143,11 +143,10 @@ def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
     if short:
         sources = all_sources(result)
         return Text(f"scale: from {sources}") if sources else None
-    known = {payload.name: payload.parameters["m"].value for payload in result.payloads if "m" in payload.known}
     names = {sensor.source: f"the {sensor.source}" for sensor in result.sensors}
-    names |= {
-        f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None
-    }
+    for payload in result.payloads:
+        if "m" in payload.known and (mass := payload.parameters["m"].value) is not None:
+            names[f"payload '{payload.name}'"] = f"payload '{payload.name}' ({mass:g} kg)"
     words = {}
     for joint, shares in result.scale.items():
         large = {source: share for source, share in shares.items() if abs(share) >= LEAST}

@@ -89,10 +89,8 @@ def asset(name: str) -> str:
 def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    loader = PackageLoader("gtau.report")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(loader=PackageLoader("gtau.report"), autoescape=True, undefined=StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = True
     environment.globals.update(numeric=NUMERIC, badges=BADGES, not_used=NOT_USED)
     environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, shown=_shown, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)

@@ -116,10 +116,7 @@ def view(shown: object) -> Page:
             return Page("", payloads_section([shown]))
         case Named():
             ends = (Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
-            rows = [
-                (name, *value_cells(value), value.interval(), value.verdict.outcome.value)
-                for name, value in shown.items()
-            ]
+            rows = [(name, *value_cells(it), it.interval(), it.verdict.outcome.value) for name, it in shown.items()]
             return Page("", Section("", Table((Column("name", Kind.NAME), *VALUE, *ends), rows)))
         case Prediction():
             return Page("", Section("", _prediction_chart(shown)))

@@ -246,10 +246,8 @@ def _sketched(sketch: Sketch) -> list[str]:
         if item.closed:
             path = "L".join(f"{a:.1f} {b:.1f}" for a, b in points.tolist())
             fill = f"var(--{item.fill})" if item.fill else "none"
-            look = (
-                f"fill: {fill}; stroke: var(--{item.stroke}); stroke-width: {item.width:g}; opacity: {item.opacity:g}"
-            )
-            parts.append(f'<path d="M{path}z" style="{look}"/>')
+            stroke = f"stroke: var(--{item.stroke}); stroke-width: {item.width:g}; opacity: {item.opacity:g}"
+            parts.append(f'<path d="M{path}z" style="fill: {fill}; {stroke}"/>')
         else:
             parts.append(_line(points[:, 0], points[:, 1], item.stroke, item.width, "; stroke-linecap: round"))
     return parts

@@ -68,10 +68,8 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     low, most = extremes(run.position)
     rounding = ROUNDING * np.maximum(np.abs(low), np.abs(most))
     density = np.where(most - low <= rounding, 0.0, density)
-    moves = most - low > LEAST_RANGE * noise
-    return tuple(
-        _judge(frequency, column, gain, moving) for column, moving in zip(density.T, moves.tolist(), strict=True)
-    )
+    columns = zip(density.T, (most - low > LEAST_RANGE * noise).tolist(), strict=True)
+    return tuple(_judge(frequency, column, gain, moves) for column, moves in columns)
 
 
 def end_of_commands(run: Run) -> float | None:

@@ -170,9 +170,8 @@ def joined(windows: Sequence[SampleWindow]) -> SampleWindow:
     """Concatenate windows of a run."""
     if len(windows) == 1:
         return windows[0]
-    return SampleWindow(
-        windows[0].run, *(np.concatenate([getattr(window, name) for window in windows]) for name in ARRAYS)
-    )
+    arrays = (np.concatenate([getattr(window, name) for window in windows]) for name in ARRAYS)
+    return SampleWindow(windows[0].run, *arrays)
 
 
 def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray | None = None) -> PreparedRun:

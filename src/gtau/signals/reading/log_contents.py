@@ -144,9 +144,8 @@ class LogContents:
     def command_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
         topics, positions = column_names.topics_of(self.table.columns), self.group("position")
-        tried = (
-            {column_names.topic_of(column, topics) for column in positions.columns.values()} if positions else {*topics}
-        )
+        columns = positions.columns.values() if positions else ()
+        tried = {column_names.topic_of(column, topics) for column in columns} if columns else {*topics}
         while len(tried) < len(topics):
             topic = LogContents.read(self.table.path, robot, COMMANDS, but=tried)
             read = {column_names.topic_of(name, topics) for name in topic.values}
@@ -175,10 +174,8 @@ class LogContents:
         return min((group for group in groups if {*group.columns.values()} <= {*self.values}), key=rank, default=None)
 
     def _is_switch(self, group: Group) -> bool:
-        columns = [name for name in group.columns.values() if not self.is_still(name)]
-        return group.kind in COMMANDS and all(
-            np.isin(np.nan_to_num(self.values[name]), (0, 1)).all() for name in columns
-        )
+        moving = (self.values[name] for name in group.columns.values() if not self.is_still(name))
+        return group.kind in COMMANDS and all(np.isin(np.nan_to_num(column), (0, 1)).all() for column in moving)
 
     def command_group(self) -> Group | None:
         """Select currents before torques, and torques of motors before torques of joints, which sensors may give."""
@@ -253,9 +250,8 @@ class LogContents:
             return None, 0.0
         time = self.seconds()
         step = (np.nanmax(time) - np.nanmin(time)) * second / max(len(time) - 1, 1)
-        fastest = max(
-            float(np.nanmax(np.abs(self.values[column]), initial=0.0)) for column in velocities.columns.values()
-        )
+        speeds = (np.abs(self.values[column]) for column in velocities.columns.values())
+        fastest = max(float(np.nanmax(speed, initial=0.0)) for speed in speeds)
         return 1 / (float(step) * float(np.median(rates))), fastest
 
 

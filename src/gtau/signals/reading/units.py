@@ -31,13 +31,7 @@ COMMON: dict[str, dict[str, float]] = {  # units of nearly all logs, without the
     "torque": {"N m": 1.0, "Nm": 1.0},
     "force": {"N": 1.0},
 }
-QUANTITIES: dict[Kind, tuple[str, ...]] = {
-    "time": ("time",),
-    "position": ("angle", "length"),
-    "current": ("current",),
-    "torque": ("torque", "force"),
-    "force": ("force",),
-}
+QUANTITIES = {"position": ("angle", "length"), "torque": ("torque", "force")}  # kinds that measure two
 SI = frozenset(["s", "rad", "m", "A", "N m", "N"])
 SHARES = {"%": 1e-2, "‰": 1e-3}  # of the rated current or torque
 SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?\s*", re.IGNORECASE)
@@ -63,7 +57,7 @@ def is_angle(text: str) -> bool:
 
 
 def _measured(text: str, kind: Kind) -> tuple[str, float]:
-    quantities = QUANTITIES[kind]
+    quantities = QUANTITIES.get(kind, (kind,))
     for quantity in quantities:
         if text in COMMON[quantity]:
             return quantity, COMMON[quantity][text]
