@@ -188,7 +188,6 @@ def _scattered(errors: LoopErrors, given: np.ndarray, rng: np.random.Generator) 
 
 
 def _outside(errors: LoopErrors, c: np.ndarray) -> bool:
-    """Decide whether a joint in a loop is beyond its position limits."""
     return any(limit_excess(errors.layout.robot.joints[k], c[k]) > LIMITS for k in errors.joints)
 
 

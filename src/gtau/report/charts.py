@@ -209,7 +209,6 @@ def _draw_series(axes: Axes, series: Series) -> None:
 
 
 def _draw_sketch(figure: Figure, sketch: Sketch) -> None:
-    """Draw a sketch over a whole figure."""
     halo = [withStroke(linewidth=HALO, foreground=palette()["page"])]
     sides = {"start": "left", "middle": "center", "end": "right"}
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))

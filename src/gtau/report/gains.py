@@ -247,7 +247,6 @@ def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] 
 
 
 def _agreement(comparison: EstimatorComparison) -> str:
-    """Summarise the agreement of the estimators in one sentence."""
     rows = [row for row in comparison.rows if row.gains is not None and row.std is not None]
     trusted = [row for row in rows if row.outcome is not None and row.outcome.value in TRUSTED]
     if len(trusted) < 2:

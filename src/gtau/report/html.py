@@ -246,7 +246,6 @@ def stamped(
 
 
 def _fingerprint(path: Path) -> tuple[str, str]:
-    """Return size and SHA-256 of a file or of the files in a folder."""
     if not path.exists():
         return "–", "no longer exists"
     sizes = [part.stat().st_size for part in (path.rglob("*") if path.is_dir() else [path]) if part.is_file()]

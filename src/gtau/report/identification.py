@@ -180,7 +180,6 @@ def next_steps(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> lis
 
 
 def _tiles(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Facts:
-    """List the key figures."""
     widths = {joint: gain.half_width for joint, gain in result.drive_gains.items() if gain.half_width}
     widest = max(widths, key=lambda joint: widths[joint], default="")
     errors = [error for run in runs if not run.used for error in run.errors]

@@ -94,7 +94,6 @@ def _prediction_chart(prediction: Prediction) -> Chart:
 
 
 def _run_chart(run: Run) -> Chart:
-    """Draw positions and commands of the joints over time."""
     time, commands = run.time - run.time[0], run.command[:, : len(run.joints)]
     panels = []
     for values, label in ((run.position, "position, rad or m"), (commands, f"{run.kind}, {run.channels[0].unit}")):

@@ -106,7 +106,6 @@ class Pen:
 
 
 def _draw_robot(pen: Pen, scene: Scene) -> None:
-    """Draw all parts of a robot."""
     robot, frames, reach = scene.robot, scene.frames, scene.size
     tool = robot.tool if len(robot.tool) <= LETTERS else robot.tool[: LETTERS - 1] + "\u2026"
     payload = f"payload on {tool}"

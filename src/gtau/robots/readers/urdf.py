@@ -224,7 +224,6 @@ def _written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:
 
 
 def _joined(element: Element, sides: Sequence[Attachment], what: str) -> list[Closure]:
-    """Make the closures of a joint between two frames."""
     kind = element.get("type", "ball")
     if len(sides) != 2 or kind not in (*POINTS, "fixed"):
         raise GtauError(f"{what}, of type '{kind}' and between {len(sides)} links, {BY_HAND}.")

@@ -210,7 +210,6 @@ def _coupling(joint: str, master: str, multiplier: str, offset: str, what: str) 
 
 
 def _check_couplings(couplings: Sequence[Coupling], moving: Collection[str]) -> None:
-    """Refuse couplings to joints that do not move, and circles."""
     master = {tie.joint: tie.ratios[0][0] for tie in couplings}
     for joint, leader in master.items():
         if leader not in moving:

@@ -178,7 +178,6 @@ class Decimator:
         return taps / taps.sum()
 
     def _chebyshev(self, columns: np.ndarray) -> np.ndarray:
-        """Filter columns (..., M) forward and backward."""
         from scipy.signal import cheby1, sosfiltfilt
 
         return sosfiltfilt(cheby1(8, 0.05, PASSED / self.factor, output="sos"), columns, axis=-1)

@@ -233,7 +233,6 @@ def _parts(samples: int) -> np.ndarray:
 def _notes(
     run: Run, joint_spectra: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray
 ) -> Iterator[Finding]:
-    """List notes on the motion and its noise."""
     noisy = dict[str, float]()  # per cent
     for joint, spectrum, rubs in zip(run.joints, joint_spectra, rubbing, strict=True):
         if spectrum.moves and spectrum.signal_to_noise < NOISY:
