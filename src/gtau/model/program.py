@@ -289,9 +289,7 @@ def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]
 def _allocated(listing: list[Instruction]) -> tuple[int, dict[int, int]]:
     """Allocate registers: their number, and the register of each result, the one that became free last."""
     # an instruction must not write where it reads: loops over overlapping rows are not vectorised
-    last: dict[int, int] = {}
-    for k, instruction in enumerate(listing):
-        last.update(dict.fromkeys(instruction.operands + instruction.results, k))
+    last = {value: k for k, line in enumerate(listing) for value in line.operands + line.results}
     free: list[int] = []
     stands: dict[int, int] = {}
     registers = 0
