@@ -88,8 +88,7 @@ class Result(IdentifiedModel):
         GtauError
             Where the loops cannot be closed, a pose is too close to a singularity, or the payload's mass is unknown.
         """
-        tau: np.ndarray = torques(self, q, qd, qdd, as_payload(payload))
-        return tau
+        return np.asarray(torques(self, q, qd, qdd, as_payload(payload)))
 
     def currents(
         self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None

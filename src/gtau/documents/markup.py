@@ -185,10 +185,8 @@ def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
 
     With ``flow`` all groups are in braces and brackets; if omitted, only the innermost ones.
     """
-    text: str = yaml.dump(
-        data, Dumper=_Dumper, default_flow_style=flow, sort_keys=False, width=width, allow_unicode=True
-    )
-    return text
+    options: dict[str, Any] = {"default_flow_style": flow, "sort_keys": False, "width": width, "allow_unicode": True}
+    return str(yaml.dump(data, Dumper=_Dumper, **options))
 
 
 # XML

@@ -240,16 +240,15 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
                     f"an expression has CasADi's operation {identity}, which the interpreter does not support"
                 )
             listing.append(instruction)
-    return _multiplied(listing, constants, constant, fresh), constants, outputs
+    return list(_multiplied(listing, constants, constant, fresh)), constants, outputs
 
 
 def _multiplied(
     listing: list[Instruction], constants: dict[int, float], constant: Callable[[float], int], fresh: Iterator[int]
-) -> list[Instruction]:
+) -> Iterator[Instruction]:
     """Replace division by constants, and by values that divide more than once, by far cheaper multiplication."""
     divides = Counter(instruction.arguments[1] for instruction in listing if instruction.operation == "DIV")
     reciprocal: dict[int, int] = {}
-    multiplied = []
     for instruction in listing:
         if instruction.operation == "DIV":
             value, by = instruction.arguments
@@ -257,11 +256,10 @@ def _multiplied(
                 reciprocal[by] = constant(1.0 / constants[by])
             elif divides[by] > 1 and by not in reciprocal:
                 reciprocal[by] = next(fresh)
-                multiplied.append(Instruction("DIV", [reciprocal[by]], [constant(1.0), by]))
+                yield Instruction("DIV", [reciprocal[by]], [constant(1.0), by])
             if by in reciprocal:
                 instruction = Instruction("", instruction.results, products=[(1.0, value, reciprocal[by])])
-        multiplied.append(instruction)
-    return multiplied
+        yield instruction
 
 
 def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -283,17 +283,15 @@ def comparison_table(comparison: EstimatorComparison) -> Table:
     return Table(columns, rows)
 
 
-def _charts(comparison: EstimatorComparison, prior: Mapping[str, float]) -> list[Chart]:
+def _charts(comparison: EstimatorComparison, prior: Mapping[str, float]) -> Iterator[Chart]:
     """Draw the gain of each joint by every estimator, with 95 % intervals and the prior gain."""
     rows = {row.method: (row.gains, row.half_widths) for row in comparison.rows}
     shown = {method: (g.tolist(), h.tolist()) for method, (g, h) in rows.items() if g is not None and h is not None}
-    charts = []
     for j, (joint, unit) in enumerate(zip(comparison.joints, _units(comparison), strict=True) if shown else ()):
         values = [gains[j] for gains, _ in shown.values()]
         halves = [half[j] for _, half in shown.values()]
         given, axis = ("prior", [prior.get(joint)] * len(shown)), f"{joint_label(joint)}, {unit}"
-        charts.append(Chart((intervals(list(shown), values, halves, axis, other=given),)))
-    return charts
+        yield Chart((intervals(list(shown), values, halves, axis, other=given),))
 
 
 def _units(comparison: EstimatorComparison) -> tuple[str, ...]:

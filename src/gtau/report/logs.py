@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -329,13 +329,13 @@ def preparation_chart(log: LogCheck) -> Chart:
     rules = tuple(Rule(x=mark, label=f"{name} {mark:.3g} Hz") for name, mark in marks.items() if mark is not None)
     titles = {"speed": "Power of the velocities", "acceleration": "Power of the accelerations; dots: noise dominates"}
     share = Axis("share of the peak", log=True)
-    panels = [Panel(FREQUENCY, share, _shares(log, kind), title, rules, height=2.3) for kind, title in titles.items()]
+    drawn = {kind: tuple(_shares(log, kind)) for kind in titles}
+    panels = [Panel(FREQUENCY, share, drawn[kind], title, rules, height=2.3) for kind, title in titles.items()]
     return Chart((*panels, *([_steps(log.run)] if log.run.log.paths else []), _used(log)), log.run.name)
 
 
-def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
+def _shares(log: LogCheck, kind: str) -> Iterator[Series]:
     """Draw the power spectrum of each joint, with a dot where noise starts to dominate the acceleration."""
-    series: list[Series] = []
     for j, joint in enumerate(log.joints):
         spectrum = joint.spectrum
         density, frequency = getattr(spectrum, kind), spectrum.frequency
@@ -343,11 +343,10 @@ def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
         if not shown.any():
             continue
         share = density / density.max()
-        series.append(Series(joint_label(joint.joint), frequency[shown], share[shown], colour(j)))
+        yield Series(joint_label(joint.joint), frequency[shown], share[shown], colour(j))
         if spectrum.moves and kind == "acceleration":
             k = int(np.argmin(np.abs(frequency - spectrum.end)))
-            series.append(Series("", frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))
-    return tuple(series)
+            yield Series("", frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0)
 
 
 def _steps(run: Run) -> Panel:

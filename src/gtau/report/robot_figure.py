@@ -376,5 +376,4 @@ def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> l
 def foot_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
     """Locate the foot of a joint on the link before it, (3,)."""
     R, p = frames[joint.antecedent]
-    foot: np.ndarray = p + R @ joint.placement.position
-    return foot
+    return np.asarray(p + R @ joint.placement.position)

@@ -5,7 +5,7 @@ Drawn by Matplotlib, the charts of a report took a seventh of the time of an ide
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from html import escape
 from math import ceil
@@ -127,7 +127,7 @@ def size_of_names(axis: Axis, largest: float = SIZE) -> float:
     return min(largest, max(SMALLEST, NAMES / len(axis.names)))
 
 
-def _page(parts: list[str], width: float, height: float, label: str) -> str:
+def _page(parts: Iterable[str], width: float, height: float, label: str) -> str:
     view = f'viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}"'
     return f"<svg {view}>{''.join(parts)}</svg>"
 
@@ -233,24 +233,22 @@ def _matrix(matrix: np.ndarray, x: Scale, y: Scale) -> Iterator[str]:
         yield f'<path d="{path}" style="fill: var(--{hue}); fill-opacity: {abs(tint) / TINTS}"/>'
 
 
-def _sketched(sketch: Sketch) -> list[str]:
+def _sketched(sketch: Sketch) -> Iterator[str]:
     """Draw the items of a sketch in order; y points up in a sketch, and down on a page."""
     left, top = sketch.corner[0], sketch.corner[1] + sketch.size[1]
-    parts = []
     for item in sketch.items:
         if isinstance(item, Word):
             across, down = float(item.place[0] - left), float(top - item.place[1]) + 0.36 * item.size
-            parts.append(_word(item.text, across, down, item.side, item.size, item.colour, item.bold))
+            yield _word(item.text, across, down, item.side, item.size, item.colour, item.bold)
             continue
         points = (item.points - sketch.corner) * [1, -1] + [0, sketch.size[1]]
         if item.closed:
             path = "L".join(f"{a:.1f} {b:.1f}" for a, b in points.tolist())
             fill = f"var(--{item.fill})" if item.fill else "none"
             stroke = f"stroke: var(--{item.stroke}); stroke-width: {item.width:g}; opacity: {item.opacity:g}"
-            parts.append(f'<path d="M{path}z" style="fill: {fill}; {stroke}"/>')
+            yield f'<path d="M{path}z" style="fill: {fill}; {stroke}"/>'
         else:
-            parts.append(_line(points[:, 0], points[:, 1], item.stroke, item.width, "; stroke-linecap: round"))
-    return parts
+            yield _line(points[:, 0], points[:, 1], item.stroke, item.width, "; stroke-linecap: round")
 
 
 # Elements, at places in points

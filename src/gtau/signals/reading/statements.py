@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 from unicodedata import normalize
 
@@ -208,9 +208,8 @@ def check_drives(drives: Mapping[str, Drive], robot: Robot) -> None:
 
 def data_sheet_notes(
     drives: Mapping[str, Drive], robot: Robot, estimates: Mapping[str, tuple[float | None, float | None]]
-) -> tuple[Finding, ...]:
+) -> Iterator[Finding]:
     """Compare estimates of gains and ``ia``, their values and standard deviations by name, with data sheets."""
-    notes = []
     for joint, drive in drives.items():
         for what, sheet, kind in (("gain", drive.gain, "gain"), ("rotor inertia", drive.inertia, "ia")):
             value, std = estimates.get(Parameter(kind, joint), (None, None))
@@ -223,8 +222,7 @@ def data_sheet_notes(
                 f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected:.4g} {unit} is by the data "
                 f"sheet (standard deviation {spread:.2g}; apart by {apart:.1f} standard deviations)"
             )
-            notes.append(Finding("data sheet", (joint,), text=text, grade=Grade.INFORMATION))
-    return tuple(notes)
+            yield Finding("data sheet", (joint,), text=text, grade=Grade.INFORMATION)
 
 
 class PreparationSettings(Keys):
