@@ -199,7 +199,8 @@ def inputs_key(experiment: Experiment, method: str) -> str:
 
 @cache
 def _program() -> bytes:
-    return "".join(digest_of(path) for path in in_order(Path(__file__).parents[1].rglob("*.py"))).encode()
+    files = (path for path in Path(__file__).parents[1].rglob("*") if path.suffix in (".py", ".yaml"))
+    return "".join(map(digest_of, in_order(files))).encode()
 
 
 def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:
