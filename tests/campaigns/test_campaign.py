@@ -21,7 +21,7 @@ from mujoco_robots import write_robot
 from typer.testing import CliRunner
 
 import gtau
-from gtau.campaigns.campaign import CampaignState, _decided, _to_play, campaign
+from gtau.campaigns.campaign import CampaignState, _decided, _narrower, _to_play, campaign
 from gtau.campaigns.candidates import _simulated, beside_the_axis, candidates, played_again
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on, warming, write_experiment
 from gtau.campaigns.folder import Played, Round, read_design_file, read_rounds, read_settings, void, write_json
@@ -294,6 +294,20 @@ def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
     assert apart.say == (
         "the last round contradicts those before: 'a' is 1.080 +- 0.028 N m/A by itself, and was 1.000 +- 0.014 N m/A"
     )
+
+
+def test_a_round_that_widens_the_intervals_leaves_the_result_of_those_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "model.json").touch()
+    inputs, last = {"design.yaml": "mass"}, round_of("confirm")
+    first = type("Judged", (Round,), {"decision": {"inputs": inputs}})(tmp_path, {"purpose": "first"}, None, "")
+    earlier, wide, narrow = (result_of(gain("a", 1.0, std, std)) for std in (0.002, 0.01, 0.001))
+    monkeypatch.setattr("gtau.campaigns.campaign.load", lambda path: earlier)
+    assert _narrower(wide, [first, last], inputs | {"02/logs/run1.csv": "log"}) is earlier
+    assert _narrower(narrow, [first, last], inputs) is narrow
+    assert _narrower(wide, [first, last], {"design.yaml": "another mass"}) is wide
+    assert _narrower(wide, [last], inputs) is wide
 
 
 def test_a_motion_that_brings_less_than_a_tenth_ends_the_campaign() -> None:

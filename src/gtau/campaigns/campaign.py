@@ -11,13 +11,21 @@ from typing import Any
 import numpy as np
 
 from gtau.campaigns import decision as decisions, folder as files
-from gtau.campaigns.candidates import Candidate, beside_the_axis, candidates, expected_width, next_task, played_again
+from gtau.campaigns.candidates import (
+    Candidate,
+    beside_the_axis,
+    candidates,
+    expected_width,
+    next_task,
+    played_again,
+    widths,
+)
 from gtau.campaigns.decision import Decision, decide, identified, listed
 from gtau.campaigns.folder import DESIGN, PLAYED, Round, read_design_file, read_rounds, read_settings
 from gtau.campaigns.rehearsal import Rehearsal, rehearse, write_motion
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.model_file import save
+from gtau.estimation.results.model_file import load, save
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design import Design, excite
 from gtau.excitation.design_file import DesignFile, make_task
@@ -203,13 +211,16 @@ def _decided(
 ) -> Decision:
     """Identify and decide, and write the next motion at ``place`` if the campaign goes on."""
     last = used[-1]
-    result = identified(decisions.write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
-    if isinstance(result, Decision):
-        return result
-    model = last.folder / MODEL_FILE
-    save(result, model)
+    together = identified(decisions.write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
+    if isinstance(together, Decision):
+        return together
+    model, notes = last.folder / MODEL_FILE, decisions.slower(together, used)
     confirming = _confirmation(place.parent, accuracy, file, used, progress)
-    decision = decide(result, accuracy, used, *confirming).noting(*decisions.slower(result, used), decisions.MASS_NOTE)
+    result = _narrower(together, used, _inputs(place.parent, file, used))
+    if result is not together:
+        notes += (f"round {last.folder.name} widens the intervals, so gains and model are of the rounds before it",)
+    save(result, model)
+    decision = decide(result, accuracy, used, *confirming).noting(*notes, decisions.MASS_NOTE)
     if not decision.goes_on:
         return decision
     task = next_task(file, result, model)
@@ -223,11 +234,23 @@ def _decided(
         designed, decision = _best_candidate(designed, decision, result, progress)
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
-        warm_up = decisions.warming(result, last)
+        warm_up = decisions.warming(together, last)
         decision = decision.noting(*filter(None, (warm_up,)))
         purpose = {"purpose": decision.kind, "after": last.folder.name, "warm_up": bool(warm_up)}
         write_motion(place, file, *rehearsed(designed, file, trusted, progress), purpose)
     return decision
+
+
+def _narrower(together: IdentifiedModel, used: list[Round], inputs: dict[str, str]) -> IdentifiedModel:
+    """Choose the result with the narrower widest interval: of all rounds ``together``, or of those before the last one.
+
+    A motion that shows much of what the model lacks would otherwise take away what another one has shown.
+    """
+    for before in used[-2:-1]:
+        model, stored = before.folder / MODEL_FILE, before.decision
+        if stored is not None and stored["inputs"].items() <= inputs.items() and model.exists():
+            return min(together, load(model), key=lambda result: max(widths(result).values()))
+    return together
 
 
 def _confirmation(
@@ -251,15 +274,15 @@ def _best_candidate(
     """Simulate candidates for the next motion; return the best one, and the decision with what they would reach."""
     offered = list(candidates(designed)) if decision.kind == decisions.MODEL else [Candidate("as designed", designed)]
     offered += beside_the_axis(designed, result)
-    widths, listed = [], []
+    expected, listed = [], []
     for k, candidate in enumerate(offered):
         progress(f"rehearsing {candidate.label}", k, len(offered))
         width = expected_width(candidate, result, designed.task.prior.drives)
         half_width = width if np.isfinite(width) else None
         listed.append({"motion": candidate.label, "half_width": half_width, "at_hand": candidate.at_hand})
-        widths.append(width)
-    chosen = offered[min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: widths[k])]
-    *usual, beside = widths
+        expected.append(width)
+    chosen = offered[min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: expected[k])]
+    *usual, beside = expected
     if any(offered[-1].beside) and beside <= decisions.WORTH * min(usual):
         advice = f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{beside:.3g} %"
         decision = replace(decision, notes=(advice, *decision.notes))
