@@ -67,5 +67,5 @@ def test_a_contact_exceeds_what_free_motion_does_not(model: Result, tmp_path: Pa
     command[1000:1500, 0] -= 2.0 / 2.5  # 2 N m from outside, for a second
     pushed, _, _ = residual_of(model, replace(free[0], command=command), 0 * command, observer)
     assert pushed[:, 0].max() > 1.5 > max(values["left"])
-    with pytest.raises(GtauError, match="list two runs without contact"):
+    with pytest.raises(GtauError, match="two runs without contact, listed under"):
         export_thresholds(model, free[:1], tmp_path)

@@ -20,6 +20,7 @@ from gtau.robots.parameter import torque_unit
 from gtau.signals.preparation.filters import position_filter
 from gtau.signals.run import Run
 from gtau.uses.external_torques import momentum_observer, predict_under_load
+from gtau.uses.prediction import doubts
 
 SPEEDS = (0.1, 0.5)  # bounds of the ranges, shares of a joint's largest speed
 QUANTILE, FEWEST = 0.9, 10  # quantile of the residuals above which peaks count, and least peaks of a tail
@@ -37,7 +38,7 @@ def export_thresholds(
 ) -> Exported:
     """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``."""
     if len(runs) < 2 or not 0 < hours < np.inf:
-        raise GtauError("list two runs without contact under 'validation', at least, and give hours above zero.")
+        raise GtauError("thresholds need two runs without contact, listed under 'validation', and --hours above zero.")
     robot, joints = result.robot, result.idm.actuated
     runs = [run.ordered(joints) for run in runs]
     speeds = []
@@ -72,7 +73,8 @@ def export_thresholds(
         f"from {total:.3g} s without contact: with the thresholds of the others the logs have {alarms} alarms where "
         f"{CHECKS:.0f} are expected{raising}; longer times are extrapolated"
     )
-    return Exported(written(out, {"thresholds.json": json.dumps(document, indent=1) + "\n"}), (note,))
+    files = written(out, {"thresholds.json": json.dumps(document, indent=1) + "\n"})
+    return Exported(files, (*doubts(result), note))
 
 
 def residual_of(result: IdentifiedModel, run: Run, speed: np.ndarray, observer: float | None) -> Residual:
