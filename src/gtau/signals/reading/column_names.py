@@ -22,7 +22,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.channel import SIDE_SIGNALS, SUPPLY
 from gtau.signals.reading.units import WrittenUnit, read_unit, split_unit
 
-WORDS = {kind: frozenset(words.split()) for kind, words in own_table(__file__, "words.yaml").items()}
+WORDS = {kind: frozenset(words.split()) for kind, words in own_table(__file__, "column_words.yaml").items()}
 SIDE = frozenset[str]().union(SUPPLY, *(signal.words for signal in SIDE_SIGNALS))
 WORDS["other"] |= SIDE - WORDS["time"] - WORDS["current"]  # temps
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
