@@ -299,14 +299,22 @@ def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
 def test_a_round_that_widens_the_intervals_leaves_the_result_of_those_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "model.json").touch()
     inputs, last = {"design.yaml": "mass"}, round_of("confirm")
-    first = type("Judged", (Round,), {"decision": {"inputs": inputs}})(tmp_path, {"purpose": "first"}, None, "")
+
+    def first(kind: str) -> Round:
+        decision = {"kind": kind, "inputs": inputs}
+        return type("Judged", (Round,), {"decision": decision})(tmp_path, {"purpose": "first"}, None, "")
+
     earlier, wide, narrow = (result_of(gain("a", 1.0, std, std)) for std in (0.002, 0.01, 0.001))
+    wide.data = ("the logs of all rounds",)
+    earlier.replaced = lambda data: SimpleNamespace(drive_gains=earlier.drive_gains, data=data)
+    narrow.data = wide.data
     monkeypatch.setattr("gtau.campaigns.campaign.load", lambda path: earlier)
-    assert _narrower(wide, [first, last], inputs | {"02/logs/run1.csv": "log"}) is earlier
-    assert _narrower(narrow, [first, last], inputs) is narrow
-    assert _narrower(wide, [first, last], {"design.yaml": "another mass"}) is wide
+    kept = _narrower(wide, [first("confirm"), last], inputs | {"02/logs/run1.csv": "log"})
+    assert (kept.drive_gains, kept.data) == (earlier.drive_gains, wide.data)
+    assert _narrower(narrow, [first("confirm"), last], inputs) is narrow
+    assert _narrower(wide, [first("confirm"), last], {"design.yaml": "another mass"}) is wide
+    assert _narrower(wide, [first("blocked"), last], inputs) is wide  # whose result was not written
     assert _narrower(wide, [last], inputs) is wide
 
 

@@ -19,6 +19,7 @@ from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.robots.readers.read import frame_on
 from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.units import Units
 from gtau.uses.external_torques import torques_along_log, write_table
 from gtau.uses.identify import carrying
 
@@ -71,6 +72,15 @@ def test_a_log_in_degrees_is_refused_as_by_identification(result: gtau.Result) -
     run = PLANT.run("degrees", seed=5)
     with pytest.raises(gtau.GtauError, match="too far for robot 'five-bar', so its positions look like deg"):
         torques_along_log(result, replace(run, position=60 * run.position))
+
+
+def test_a_robot_may_hardly_move_where_its_model_is_used(result: gtau.Result) -> None:
+    run = PLANT.run("still", seed=5)
+    still = run.position[:1] + 0.02 * (run.position - run.position[:1])
+    in_degrees = replace(run.log, units=Units.model_validate({"position": "deg"}))
+    with pytest.raises(gtau.GtauError, match="too little for robot 'five-bar'"):
+        gtau.identify(result.robot, [replace(run, position=still, log=in_degrees)])
+    assert torques_along_log(result, replace(run, position=still, log=in_degrees)).joints
 
 
 def test_the_force_of_an_identified_model_is_zero_within_intervals_of_its_size(result: gtau.Result) -> None:

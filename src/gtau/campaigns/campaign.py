@@ -218,7 +218,8 @@ def _decided(
     confirming = _confirmation(place.parent, accuracy, file, used, progress)
     result = _narrower(together, used, _inputs(place.parent, file, used))
     if result is not together:
-        notes += (f"round {last.folder.name} widens the intervals, so gains and model are of the rounds before it",)
+        name = last.folder.name
+        notes += (f"round {name} widens the widest interval, so gains and model come from the rounds before it",)
     save(result, model)
     decision = decide(result, accuracy, used, *confirming).noting(*notes, decisions.MASS_NOTE)
     if not decision.goes_on:
@@ -244,13 +245,13 @@ def _decided(
 def _narrower(together: IdentifiedModel, used: list[Round], inputs: dict[str, str]) -> IdentifiedModel:
     """Choose the result with the narrower widest interval: of all rounds ``together``, or of those before the last one.
 
-    A motion that shows much of what the model lacks would otherwise take away what another one has shown.
+    A motion that shows what the model lacks would otherwise widen intervals that another motion narrowed.
     """
-    for before in used[-2:-1]:
-        model, stored = before.folder / MODEL_FILE, before.decision
-        if stored is not None and stored["inputs"].items() <= inputs.items() and model.exists():
-            return min(together, load(model), key=lambda result: max(widths(result).values()))
-    return together
+    stored = used[-2].decision if len(used) > 1 else None
+    if not stored or stored["kind"] == decisions.BLOCKED or not stored["inputs"].items() <= inputs.items():
+        return together
+    before = load(used[-2].folder / MODEL_FILE).replaced(data=together.data)  # which model.json does not hold
+    return min(together, before, key=lambda result: max(widths(result).values()))
 
 
 def _confirmation(

@@ -33,7 +33,7 @@ from gtau.signals.reading.statements import FIRST_MOMENTS, Drive, Payload
 from gtau.signals.run import Run
 from gtau.uses.prediction import torques
 
-SPEEDS = (0.7, 0.5)  # of eight kinds of motions 20 of 23 choices fell on longer and slower ones
+SPEEDS = (0.7, 0.5)  # of the designed speed; of 23 best candidates 14 were longer and six slower
 HEAVIER = 2.0  # mass of a payload that is not at hand over the mass of the heaviest payload
 BESIDE = 0.08  # m from the axis of the last joint to the centre of a payload mounted beside it
 

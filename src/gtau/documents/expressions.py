@@ -1,8 +1,8 @@
 """Evaluate arithmetic in robot and experiment files: ``pi/2``, ``q - a``, ``J3 + J2``; nothing is executed.
 
-Nor is it in xacro files, which the package xacrodoc expands to URDF. The package xacro evaluates ``${...}`` by
-``eval``, whose restrictions can be evaded. In its place stands :func:`evaluated`: arithmetic, comparisons, texts,
-lists, entries of YAML files, and the functions in ``XACRO_FUNCTIONS``.
+Xacro files are expanded to URDF by the package xacrodoc. The package xacro evaluates ``${...}`` by ``eval``, whose
+restrictions can be evaded, so :func:`evaluated` replaces it: it reads arithmetic, comparisons, texts, lists, entries of
+YAML files, and the functions in ``XACRO_FUNCTIONS``.
 """
 
 from __future__ import annotations

@@ -148,9 +148,9 @@ def read_yaml(path: str | Path) -> Document:
     return Document(path, text)
 
 
-def own_table(module: str, name: str) -> Any:
-    """Read a YAML file of gtau that stands beside a module (its ``__file__``)."""
-    return yaml.load(Path(module).with_name(name).read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+def own_table(beside: str, name: str) -> Any:
+    """Read a YAML file of gtau that stands beside a module's file; unlike in files of users, numbers become numbers."""
+    return yaml.load(Path(beside).with_name(name).read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 SYNTAX = (

@@ -103,7 +103,7 @@ def _attempted(
         require_payload_excitation(system)
         raise
     kinds = {gain.verdict.kind for gain in result.drive_gains.values()}
-    if _outcomes(result) <= NO_GAIN and REFUTED not in kinds:  # which explains the residuals
+    if _outcomes(result) <= NO_GAIN and REFUTED not in kinds:  # which has an advice of its own
         require_payload_excitation(system)
     return result
 

@@ -258,7 +258,7 @@ def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
 
 
 def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray) -> float:
-    """Compute the duration, s, of an approach within the limits of tool speed and, if slowing down helps, torque."""
+    """Compute the duration, s, of an approach within the limits of tool speed and, if slowing down helps, others."""
     span = approach_duration(start - home, task.limits.rates)
 
     def lasting(duration: float) -> Point:
@@ -267,6 +267,7 @@ def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray)
     span *= max((usage.excess / MARGIN for usage in tool_speed(lasting(span)) if usage.excess > MARGIN), default=1.0)
     for slower in SLOWER:
         duration = slower * span
-        if all(usage.excess <= 1 for usage in _drives(lasting(duration))):
+        way = lasting(duration)
+        if all(usage.excess <= 1 for usage in (*_drives(way), *_passive(way))):
             return duration
     return span

@@ -248,15 +248,14 @@ def _require_actuated(file: DesignFile, robot: Robot) -> None:
 
 def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) -> tuple[Robot, tuple[str, ...]]:
     """Take the limits of the design file, or a share of the robot's; say which are taken and which are missing."""
-    share, near = entry.share, list[str]()
-    limits: dict[str, Limits] = {}
+    near, limits = list[str](), dict[str, Limits]()
     for joint in robot.joints:
         name, given = joint.name, joint.limits
+        share = entry.share if joint.actuated else 1.0  # where passive joints rest follows from the others
         position = given.position
         if position is not None and share < 1:
             middle, half = (position[0] + position[1]) / 2, share * (position[1] - position[0]) / 2
-            start = rest.get(name, joint.home)
-            start = start if position[0] <= start <= position[1] else middle
+            start = rest[name] if position[0] <= rest[name] <= position[1] else middle
             near += [f"'{name}'"] * bool(abs(start - middle) > half)
             # runs begin within the limits
             position = min(middle - half, start), max(middle + half, start)
@@ -270,7 +269,7 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
     joints = tuple(replace(joint, limits=limits[joint.name]) for joint in robot.joints)
     limits = {name: limits[name] for name in robot.actuated}
     beyond = f" (but for {some_of(near, 4)} out to where it rests)" if near else ""
-    notes = [f"limits: {100 * share:.3g} % of the robot file's{beyond}, yours in full; change with limits.share"]
+    notes = [f"limits: {100 * entry.share:.3g} % of the robot file's{beyond}, yours in full; change with limits.share"]
     if free := [f"'{name}'" for name, limit in limits.items() if limit.position is None]:
         notes.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
     efforts = {name: limit.effort or entry.current.get(name) for name, limit in limits.items()}

@@ -30,7 +30,7 @@ ROOM = 1.1  # distance of the resting arm from a guessed floor, over the clearan
 STATES = 64  # random poses that show whether a distance can change
 SAME = 1e-9  # m
 STATE = "limits.shapes"
-TOOL_SPEED = 1.5  # m/s, to which Universal Robots sets new arms
+TOOL_SPEED = 1.5  # m/s; Universal Robots sets new arms to it
 # m/s, by a word in a robot's name, as manuals state: 1.7 (Franka, limits of its control interface), 0.5 (Kinova, guide
 # of the Gen3: 50 cm/s in Cartesian translation), 1 (Ufactory, user manual of the xArm: up to 1000 mm/s)
 MAKERS = {"panda": 1.7, "gen3": 0.5, "xarm": 1.0}

@@ -29,7 +29,7 @@ MODERATE = 0.15  # guessed rms torque over the effort limit
 NOISE = 0.005  # guessed noise of a current sample over the effort limit
 ERROR = 1.25  # factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
 ARM = 0.05  # m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
-# over the effort limits, 80 % of the file's; a UR10e over its file: 5 to 14 %, 8 to 41 % at the speed limit, 0.01 kg m2
+# friction, viscous at the speed limit, and rotors over effort limits; a UR10e: 5 to 14 %, 8 to 41 %, 0.01 kg m2 per N m
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
 STATES = 200
 

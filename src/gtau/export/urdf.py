@@ -29,7 +29,9 @@ from gtau.robots.placement import Placement, Pose, compose, pose_of
 from gtau.robots.robot import GROUND, ROTATIONS, STIFFNESS, TRANSLATIONS, Coupling, Joint, Platform, Robot, Spring
 
 ROOT = "base"
-UNLIMITED = 1e10  # SI units: the format requires limits; simulators take 0 for one, and readers 1e9 and more for none
+UNLIMITED = (
+    1e10  # SI units: the format requires limits; simulators hold a joint at 0, readers take more than 1e9 for none
+)
 
 
 def export(result: IdentifiedModel, out: Path) -> Exported:

@@ -73,7 +73,7 @@ class JointOfFleet:
 
 @dataclass(frozen=True, repr=False)
 class FleetTable:
-    """What :func:`fleet` finds: every gain of every robot, the joints over the fleet, and the refused robots, why."""
+    """What :func:`gtau.fleet` returns: gains of every robot, joints over the fleet, and refused robots with reasons."""
 
     gains: tuple[FleetGain, ...]
     joints: tuple[JointOfFleet, ...]

@@ -120,9 +120,6 @@ def valid_share(run: Run) -> float:
     return float(np.sum([np.sum(block(run.valid, *span)) for span in spans(len(run.valid))])) / run.valid.size
 
 
-# The check of an experiment
-
-
 def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:
     """Describe bandwidth of the motion, position filter and decimation."""
     decimator, cutoff = preparation.decimator, preparation.cutoff
@@ -156,6 +153,9 @@ def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = Tru
     listed: Sequence = (*(experiment.runs if runs else ()), *experiment.validation)
     logs = tuple(("log", log) for run in listed for log in run.log)
     return (("experiment", path), *((("robot", robot),) if robot.exists() else ()), *logs)
+
+
+# The check of an experiment
 
 
 def check_document(checked: CheckedExperiment) -> dict[str, Any]:

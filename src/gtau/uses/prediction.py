@@ -200,7 +200,7 @@ def prepared_for(result: IdentifiedModel, run: Run | str | Path) -> tuple[Prepar
     run = suited(result, run)
     check_wrenches(result.robot, run)
     prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
-    prepared = within_limits(result.robot, prepared)
+    prepared = within_limits(result.robot, prepared, may_rest=True)
     return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 

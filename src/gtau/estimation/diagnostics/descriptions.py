@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import combinations
 
 import numpy as np
 
@@ -99,7 +99,8 @@ def explained_joints(fit: Fit, other: Fit) -> tuple[str, ...]:
 def noise_beside_effects(fit: Fit, allowed: float = 0.0) -> np.ndarray:
     """Return the standard deviations of what all effects together leave of each channel, (c,); raises GtauError.
 
-    They explain nothing where one of them is beyond the range of its columns, with more than an ``allowed`` share.
+    Effects count for nothing where one of them is beyond the range of its columns and explains the ``allowed`` share:
+    any share beside the user's description, since its refits are beyond that range.
     """
     result = effects_beside(fit)
     if result is None or any(effect.beyond and effect.share >= allowed for effect in contradictions(result)):
@@ -229,14 +230,17 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
 
 
 def exchanged_loads(fit: Fit) -> EstimatedEffect | None:
-    """Find the run that carries the payload which another run declares."""
+    """Find the two runs of which each carries what the other one declares."""
     runs, tried = fit.dataset.runs, list[tuple[float, str, Fit]]()
-    for one, other in permutations(range(len(runs)), 2):
-        payload, instead = runs[one].payload, runs[other].payload
-        if payload is not None and payload != instead:
-            loads = [{one: instead, other: payload}.get(number, run.payload) for number, run in enumerate(runs)]
+    for pair in combinations(range(len(runs)), 2):
+        (payload, name), (instead, other) = ((runs[k].payload, runs[k].name) for k in pair)
+        if payload != instead:
+            loads = [{pair[0]: instead, pair[1]: payload}.get(k, run.payload) for k, run in enumerate(runs)]
             if (fitted := refitted(fit, loads)) is not None and fitted.gains.min() > 0:
-                text = f"payload '{payload.name}' in run '{runs[other].name}' in place of run '{runs[one].name}'"
+                moved = ((payload, other, name), (instead, name, other))
+                text = " and ".join(
+                    f"payload '{load.name}' in run '{to}' in place of run '{of}'" for load, to, of in moved if load
+                )
                 tried.append((residual_ratio(fitted, fit.unrefined), text, fitted))
     remains, text, best = min(tried, key=lambda described: described[0], default=(1.0, "", fit))
     if remains > LEFT:

@@ -180,8 +180,8 @@ def refuted_descriptions(
                 yield refuted(fit, part, (joint,), text, percent(move, "+.2g") + turned)
         harmless = part.effect == TORQUE_SCALE.name and abs(part.size) - 3 * part.std <= OTHER_SCALE
         if not (fit.free_gains or harmless) and part.cause.values.get("remains", 0.0) < least:
-            joints = part.cause.joints and dict.fromkeys((*part.cause.joints, *part.cause.values.get("explained", ())))
-            yield refuted(fit, part, tuple(joints or motors(fit)), explained_share(part))
+            joints = (*part.cause.joints, *part.cause.values.get("explained", ())) if part.cause.joints else motors(fit)
+            yield refuted(fit, part, tuple(dict.fromkeys(joints)), explained_share(part))
 
 
 def explained_share(part: EstimatedEffect) -> str:

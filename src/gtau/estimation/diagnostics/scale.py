@@ -292,9 +292,9 @@ def _without_voltages(fit: Fit, motors: Sequence[MotorEquation]) -> Fit | None:
 def weigh_known(fit: Fit, method: str, accuracy: float, references: Sequence[Finding]) -> dict[str, Finding]:
     """Judge payloads, by name: each known value is estimated in turn, with given gains or from the other constants.
 
-    A verdict names the value that leaves least when it alone is freed. The mass of a single payload that sets the scale
-    is not tested. Given gains are taken for exact to the ``accuracy`` (relative). A voltage that contradicts all else,
-    as ``references`` say, tests no payload.
+    A verdict names the value that leaves least when it alone is freed, and others that leave as little. The mass of a
+    single payload that sets the scale is not tested. Given gains are taken for exact to the ``accuracy`` (relative). A
+    voltage that contradicts all else, as ``references`` say, tests no payload.
     """
     wrong = [finding.subject for finding in references if finding.kind == VOLTAGE]
     if wrong:
@@ -308,7 +308,9 @@ def weigh_known(fit: Fit, method: str, accuracy: float, references: Sequence[Fin
         if freed := sorted(filter(None, tried), key=lambda result: result[0]):
             least, verdicts[name] = freed[0]
             alike = [verdict for left, verdict in freed if left < least + CLOSE and verdict.outcome != Grade.GOOD]
-            if len(alike) > 1 and verdicts[name] is alike[0]:  # axes that intersect know a ratio of moments alone
+            if (
+                len(alike) > 1 and verdicts[name] is alike[0]
+            ):  # joints whose axes intersect feel the ratio of moments alone
                 text = "; or as likely, ".join(verdict.text for verdict in alike)
                 verdicts[name] = replace(alike[0], text=text, advice="check these values, and the payload's frame")
     return verdicts

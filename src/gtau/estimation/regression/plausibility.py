@@ -34,18 +34,18 @@ LEAST = {"revolute": LEAST_TURN, "prismatic": LEAST_SLIDE}
 UNITS = {"revolute": ("rad", "deg"), "prismatic": ("m", "mm")}
 
 
-def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
-    """Note every joint that leaves its limits in a run; raises GtauError."""
+def within_limits(robot: Robot, prepared: PreparedRun, may_rest: bool = False) -> PreparedRun:
+    """Note every joint that leaves its limits in a run, or hardly moves unless it ``may_rest``; raises GtauError."""
     lowest, highest = extremes(prepared.run.position)
     speeds = np.sqrt(np.diag(prepared.speeds))
-    _check_units(robot, prepared.run, highest - lowest, speeds)
+    _check_units(robot, prepared.run, highest - lowest, speeds, may_rest)
     notes: list[Finding] = []
     for name, low, high, speed in zip(prepared.run.joints, lowest, highest, speeds, strict=True):
         notes += _judge(prepared.run.name, robot.joint(name), float(low), float(high), float(speed))
     return replace(prepared, notes=(*prepared.notes, *notes))
 
 
-def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -> None:
+def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray, may_rest: bool) -> None:
     """Refuse motions impossible for a robot of this size, and name the wrong unit or clock; (n,) rad or m, s."""
     # Motors behind gears make any number of turns, and floating bases move without limits.
     units = run.log.units
@@ -59,7 +59,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
         declared = {unit or basic for unit in stated}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"
-        if 0 < span[widest] < LEAST[kind] * size and declared == {other}:
+        if 0 < span[widest] < LEAST[kind] * size and declared == {other} and not may_rest:
             raise GtauError(
                 f"run '{run.name}': no {kind} joint moves by more than {moved}, too little for robot "
                 f"'{robot.name}', so its positions look like {basic} declared as {other}; write {basic} under "

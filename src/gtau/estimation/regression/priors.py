@@ -85,9 +85,10 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
         raise GtauError(f"a relative standard deviation of {std:g} is impossible for inertias; write 0.3 for 30 %.")
     stated = stated_inertias(robot)
     if not stated:
+        where = f" ({robot.source})" if robot.source else ""
         raise GtauError(
-            f"the description of robot '{robot.name}' states no inertias, which 'prior_inertias' asks for; give a URDF "
-            "or MJCF file with <inertial> elements (a file from 'gtau robot --save' has none), or leave it out."
+            f"the file of robot '{robot.name}'{where} states no inertias, which 'prior_inertias' asks for, or gtau "
+            "saved the robot without them; give a URDF or MJCF file with <inertial> elements, or leave it out."
         )
     sizes: dict[str, float] = {}
     for body in _heavy(robot):
