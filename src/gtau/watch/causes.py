@@ -128,7 +128,7 @@ def causes_of(
         parts = zip(several, np.split(sizes, ends), np.split(factor * std, ends), strict=True)
         first, *more = (_stated(model, log, heaviest, *part) for part in parts)
         # where a channel is rescaled, the charts are too far from linear to show another change beside it
-        if first is None or any(each is None or (each.kind == "units") != (first.kind == "units") for each in more):
+        if first is None or any(other is None or (other.kind == "units") != (first.kind == "units") for other in more):
             return []
         return [(misfit, first.model_copy(update={"and_also": more[0] if more else None}))]
 

@@ -177,7 +177,12 @@ def other_body(fit: Fit) -> EstimatedEffect | None:
 
 
 def other_loads(fit: Fit) -> EstimatedEffect | None:
-    """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
+    """Find the runs whose loads are other than declared; None without any."""
+    return _undeclared_bodies(fit) or _exchanged_loads(fit)
+
+
+def _undeclared_bodies(fit: Fit) -> EstimatedEffect | None:
+    """Find the runs whose bodies at the tool are other than declared, with their masses."""
     from scipy.special import stdtrit
 
     runs, unaltered = fit.dataset.runs, fit.unrefined
@@ -229,7 +234,7 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
     return described_otherwise(TOOL_BODIES, cause, other, unaltered)
 
 
-def exchanged_loads(fit: Fit) -> EstimatedEffect | None:
+def _exchanged_loads(fit: Fit) -> EstimatedEffect | None:
     """Find the two runs of which each carries what the other one declares."""
     runs, tried = fit.dataset.runs, list[tuple[float, str, Fit]]()
     for pair in combinations(range(len(runs)), 2):
@@ -237,9 +242,11 @@ def exchanged_loads(fit: Fit) -> EstimatedEffect | None:
         if payload != instead:
             loads = [{pair[0]: instead, pair[1]: payload}.get(k, run.payload) for k, run in enumerate(runs)]
             if (fitted := refitted(fit, loads)) is not None and fitted.gains.min() > 0:
-                moved = ((payload, other, name), (instead, name, other))
+                moves = ((payload, name, other), (instead, other, name))
                 text = " and ".join(
-                    f"payload '{load.name}' in run '{to}' in place of run '{of}'" for load, to, of in moved if load
+                    f"payload '{load.name}' in run '{carrier}' in place of run '{run}'"
+                    for load, run, carrier in moves
+                    if load
                 )
                 tried.append((residual_ratio(fitted, fit.unrefined), text, fitted))
     remains, text, best = min(tried, key=lambda described: described[0], default=(1.0, "", fit))

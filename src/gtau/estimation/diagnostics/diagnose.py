@@ -111,9 +111,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             lacking = lacking or bool(contradicting)
         frozen = list(frozen_encoders(fit))
         missing, as_well = (False, False) if middle is None else shows_gravity(middle, lack)
-        loads: EstimatedEffect | None = None
-        if misfit or (lacking and not findings):
-            loads = descriptions.other_loads(fit) or descriptions.exchanged_loads(fit)
+        loads = descriptions.other_loads(fit) if misfit or (lacking and not findings) else None
         odd = descriptions.odd_run(fit, loads) if misfit and not frozen else None
         findings = [odd] if odd else [*frozen, *findings]  # other columns in all runs do not mend one run
         contradicting = () if odd else contradicting

@@ -307,7 +307,7 @@ def weigh_known(fit: Fit, method: str, accuracy: float, references: Sequence[Fin
         tried = (_freed(fit, method, payload, kind, accuracy) for kind in (*masses, *payload.parameters))
         if freed := sorted(filter(None, tried), key=lambda result: result[0]):
             least, verdicts[name] = freed[0]
-            alike = [verdict for left, verdict in freed if left < least + CLOSE and verdict.outcome != Grade.GOOD]
+            alike = [verdict for remains, verdict in freed if remains < least + CLOSE and verdict.outcome != Grade.GOOD]
             if (
                 len(alike) > 1 and verdicts[name] is alike[0]
             ):  # joints whose axes intersect feel the ratio of moments alone
