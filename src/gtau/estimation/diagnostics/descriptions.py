@@ -37,7 +37,7 @@ from gtau.signals.reading.statements import Payload
 MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
 LEFT = 0.5  # part of the residual variance, geometric mean of all joints, that is left with another description
 BESIDE_LEFT = 0.9  # the same, with all effects beside both descriptions
-ODD_TRIED = 0.1  # share of a joint's signal that is unexplained, from which runs are left out
+ODD_TRIED = 0.1  # share of a joint's signal that is unexplained, from which runs are left out, or loads exchanged
 MENDED = 0.1  # part of the squares that is left, at most, where one run or load explains what was unexplained
 ALIKE = 1.05  # residual variance over the least of all: below, as likely
 REFUTED_STD = 6.0  # size of another description in standard deviations
@@ -237,7 +237,7 @@ def _undeclared_bodies(fit: Fit) -> EstimatedEffect | None:
 def _exchanged_loads(fit: Fit) -> EstimatedEffect | None:
     """Find the two runs of which each carries what the other one declares."""
     runs, tried = fit.dataset.runs, list[tuple[float, str, Fit]]()
-    for pair in combinations(range(len(runs)), 2):
+    for pair in combinations(range(len(runs)), 2) if unexplained_shares(fit).max() > ODD_TRIED else ():
         (payload, name), (instead, other) = ((runs[k].payload, runs[k].name) for k in pair)
         if payload != instead:
             loads = [{pair[0]: instead, pair[1]: payload}.get(k, run.payload) for k, run in enumerate(runs)]
