@@ -98,10 +98,12 @@ def test_a_payload_in_another_run_is_named_where_gains_are_noise() -> None:
         assert "less at the tool in run 'run 0' than payload 'steel'" in str(gain.verdict)
 
 
-def test_the_only_payload_in_another_run_is_named() -> None:
-    result = identify(FIVE_BAR, loaded_runs((False, False, True), (False, True, False)))
+@pytest.mark.parametrize("run", [0, 1])
+def test_the_only_payload_in_another_run_is_named(run: int) -> None:
+    """An empty run that carries it as well explains as much, with negative gains."""
+    result = identify(FIVE_BAR, loaded_runs((False, False, True), (run == 0, run == 1, False)))
     for gain in result.drive_gains.values():
-        assert "payload 'steel' in run 'run 2' in place of run 'run 1' would explain" in str(gain.verdict)
+        assert f"payload 'steel' in run 'run 2' in place of run 'run {run}' would explain" in str(gain.verdict)
 
 
 @pytest.mark.parametrize(

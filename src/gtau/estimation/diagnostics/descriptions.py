@@ -211,7 +211,7 @@ def _undeclared_bodies(fit: Fit) -> EstimatedEffect | None:
     # a body in some runs is one that the others lack: more is forgotten than taken away; gains of the other sign fit
     # other loads
     carried, other = one_after_the_other(unaltered, loaded, range(len(runs)), max(len(runs) - 1, 1), LEFT, preferred)
-    if not carried:
+    if not carried or other.gains.max() < 0:  # all negative: the mirror image of another load
         return None
     problem, more, std = other.problem, added(other, carried), deviations(other, carried)
     if np.any(np.abs(more) < np.maximum(REFUTED_STD * std, MASS_ABSENT * declared[list(carried)])):
