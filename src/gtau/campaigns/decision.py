@@ -32,7 +32,8 @@ ROUNDS = 5  # after which a campaign ends
 WORTH = 0.9  # share of the widest interval that a motion must reach, or the campaign ends
 SHOWN = 0.05  # share of the residual variance from which an effect counts
 STRETCHED = 0.9  # share of the speed below which a motion was not played as designed
-# effects that a warm-up reduces: shown by no result of 87 of healthy robots, by all four where friction fell by 10 %
+# effects that a warm-up reduces: shown by none of 87 results of healthy robots in MuJoCo, and by all four with friction
+# falling by 10 or 30 %
 DRIFTS = {FRICTION_DRIFT.name, GAIN_DRIFT.name}
 MASS_NOTE = "gains are proportional to the payload's mass: they are as exact as its weighing"
 RANDOM, MODEL, CONFIRM = "random part", "model part", "confirm"

@@ -29,9 +29,8 @@ from gtau.robots.placement import Placement, Pose, compose, pose_of
 from gtau.robots.robot import GROUND, ROTATIONS, STIFFNESS, TRANSLATIONS, Coupling, Joint, Platform, Robot, Spring
 
 ROOT = "base"
-UNLIMITED = (
-    1e10  # SI units: the format requires limits; simulators hold a joint at 0, readers take more than 1e9 for none
-)
+# SI units: the format requires limits, simulators hold a joint at 0, and readers take more than 1e9 for none
+UNLIMITED = 1e10
 
 
 def export(result: IdentifiedModel, out: Path) -> Exported:

@@ -18,7 +18,7 @@ from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed, within_limits
 from gtau.estimation.regression.rows import Law, stream_torques
-from gtau.estimation.results.conclusions import headline
+from gtau.estimation.results.conclusions import headline, loses_gains
 from gtau.estimation.results.estimate import BandError, TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade
@@ -173,8 +173,7 @@ def payload_in_name(result: IdentifiedModel, log: str | Path) -> Payload | None:
 
 def doubts(result: IdentifiedModel) -> list[str]:
     """Repeat the verdict on a model with gains, or anything else, that are contradictory or not identifiable."""
-    lost = any(gain.verdict.outcome.rank > Grade.WEAK.rank for gain in result.drive_gains.values())
-    return [headline(result)] if lost or not result.believable else []
+    return [headline(result)] if loses_gains(result) or not result.believable else []
 
 
 def suited(result: IdentifiedModel, run: Run | str | Path) -> Run:

@@ -241,7 +241,7 @@ def _exchanged_loads(fit: Fit) -> EstimatedEffect | None:
         (payload, name), (instead, other) = ((runs[k].payload, runs[k].name) for k in pair)
         if payload != instead:
             loads = [{pair[0]: instead, pair[1]: payload}.get(k, run.payload) for k, run in enumerate(runs)]
-            if (fitted := refitted(fit, loads)) is not None and fitted.gains.min() > 0:
+            if (fitted := refitted(fit, loads)) is not None and fitted.gains.max() > 0:
                 moves = ((payload, name, other), (instead, other, name))
                 text = " and ".join(
                     f"payload '{load.name}' in run '{carrier}' in place of run '{run}'"

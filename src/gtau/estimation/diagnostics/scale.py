@@ -308,9 +308,8 @@ def weigh_known(fit: Fit, method: str, accuracy: float, references: Sequence[Fin
         if freed := sorted(filter(None, tried), key=lambda result: result[0]):
             least, verdicts[name] = freed[0]
             alike = [verdict for remains, verdict in freed if remains < least + CLOSE and verdict.outcome != Grade.GOOD]
-            if (
-                len(alike) > 1 and verdicts[name] is alike[0]
-            ):  # joints whose axes intersect feel the ratio of moments alone
+            # joints whose axes intersect feel the ratio of moments alone
+            if len(alike) > 1 and verdicts[name] is alike[0]:
                 text = "; or as likely, ".join(verdict.text for verdict in alike)
                 verdicts[name] = replace(alike[0], text=text, advice="check these values, and the payload's frame")
     return verdicts

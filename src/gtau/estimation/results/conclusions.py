@@ -144,6 +144,11 @@ def headline(result: IdentifiedModel) -> str:
     return " ".join([*_against(result), _known(result)]).strip()
 
 
+def loses_gains(result: IdentifiedModel) -> bool:
+    """Whether a gain is contradictory or not identifiable."""
+    return any(gain.verdict.outcome.rank > Grade.WEAK.rank for gain in result.drive_gains.values())
+
+
 def _against(result: IdentifiedModel) -> Iterator[str]:
     """Say what contradicts the result, and which requirements it misses; empty where it is accepted."""
     groups = [reason for reason in reasons(result) if reason.outcome == Grade.CONTRADICTORY]
@@ -156,8 +161,7 @@ def _against(result: IdentifiedModel) -> Iterator[str]:
     for name, verdict in _stated(result):
         if verdict.outcome == Grade.CONTRADICTORY:
             yield f"{name[0].upper()}{name[1:]} contradicts the data: {verdict.why}."
-    lost = any(gain.verdict.outcome.rank > Grade.WEAK.rank for gain in result.drive_gains.values())
-    first = (SMOOTHED, MOTOR_SIDE, ASSUMED_UNIT)[: 3 if lost else 2]  # a wrong unit contradicts all
+    first = (SMOOTHED, MOTOR_SIDE, ASSUMED_UNIT)[: 3 if loses_gains(result) else 2]  # a wrong unit contradicts all
     notes = [note.what for note in result.notes if note.kind in first]
     yield from (f"{what[0].upper()}{what[1:]}." for what in notes)
     if failed := missed(result):
