@@ -141,7 +141,7 @@ def reduction(robot: Robot, samples: int, few: int) -> list[Row]:
     base = base_parameters(idm)
     run, decimator = prepared(robot, samples), Decimator(10)
     loop = PinocchioLoop(robot, random_parameters(robot, np.random.default_rng(1)))
-    short = (run.all.q[:few], run.all.qd[:few], run.all.qdd[:few])
+    short = (run.q[:few], run.qd[:few], run.qdd[:few])
 
     def theirs() -> None:
         W = np.array(list(loop(*short)))

@@ -64,7 +64,8 @@ def orthoglide_gains(samples: int, few: int) -> list[Row]:
         long = write_logs(Path(one), robot, chi, samples, [0.0, MASSES["steel"]])
         short = write_logs(Path(other), robot, chi, few, [0.0, MASSES["steel"]])
         result = gtau.identify(short)
-        factor, cutoff = result.preparation.decimator.factor, result.preparation.cutoff
+        factor = result.preparation.decimator.factor
+        cutoff = result.preparation.cutoff or np.inf  # without one, as high as the peer goes
 
         def theirs() -> np.ndarray:
             return gains_by_hand(robot, Path(other), MASSES["steel"], cutoff, PEERS_DECIMATION, ELIMINATIONS)
