@@ -3,6 +3,7 @@
     python benchmarks/calibration.py arm five-bar --seeds 3 --clean 20
     python benchmarks/calibration.py delta ur10e --resume --clean 8
     python benchmarks/calibration.py seven scara 3-rrr --effects docs/evidence/coverage/effects.csv
+    python benchmarks/calibration.py arm five-bar scara --slow --seeds 3 --clean 3 --effects slow-runs.csv
     python benchmarks/calibration.py real --resume --page docs/evidence/index.md
 
 Each experiment has two runs without and two with a payload, friction that differs by 2 % from run to run, and current
@@ -22,7 +23,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from realism.departures import DEPARTURES, EFFECTS, MOTIONS
+from realism.departures import DEPARTURES, EFFECTS, MOTIONS, then_slow
 from realism.logs import make_logs
 from realism.pairs import pairs
 from realism.plants import PLANTS
@@ -67,10 +68,10 @@ def gain_of(joint: str, gain: Estimate, truth: float, truth_std: float = 0.0) ->
     return Gain(joint, truth, truth_std, gain.value, gain.std, low, high, half, random, gain.verdict.outcome.value)
 
 
-def simulated(robot: str, departure: str, seed: int) -> list[Gain]:
+def simulated(robot: str, departure: str, seed: int, slow: bool) -> list[Gain]:
     """Gains found from one experiment."""
     plant, what = PLANTS[robot], (DEPARTURES | MOTIONS | EFFECTS)[departure]
-    runs, gains = make_logs(plant, what, seed)
+    runs, gains = make_logs(plant, then_slow(what) if slow else what, seed)
     told = plant.model.robot if what.robot is None else what.robot(plant.model.robot)
     with threadpool_limits(1, "blas"):
         found = identify(told, runs).drive_gains
@@ -96,6 +97,7 @@ def main() -> None:
     parser.add_argument(
         "--effects", type=Path, help="effects of physics, one at a time and together: a table of widths"
     )
+    parser.add_argument("--slow", action="store_true", help="the last two of four runs at a fifth of the speed")
     parser.add_argument("--store", type=Path, default=Path("calibration.jsonl"))
     parser.add_argument("--resume", action="store_true", help="keep what stands in the store")
     parser.add_argument(
@@ -118,7 +120,7 @@ def main() -> None:
         begin = process_time()
         record = {"robot": robot, "departure": departure, "seed": seed, "gains": [], "refusal": ""}
         try:
-            record["gains"] = [asdict(gain) for gain in simulated(robot, departure, seed)]
+            record["gains"] = [asdict(gain) for gain in simulated(robot, departure, seed, options.slow)]
         except GtauError as refusal:
             record["refusal"] = str(refusal)
         add(options.store, record | {"seconds": round(process_time() - begin, 2)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -432,6 +433,17 @@ def coloured(share: float) -> Departure:
         return v + share * np.sqrt(np.mean(v**2, axis=0)) * noise
 
     return Departure(current=spoilt)
+
+
+def then_slow(departure: Departure) -> Departure:
+    """Runs after the second at a fifth of the speed and acceleration; for one experiment."""
+    run = count()
+
+    def motion(within: Envelope, duration: float, rng: np.random.Generator) -> Trajectory:
+        slow = replace(within, velocity=0.2 * within.velocity, acceleration=0.2 * within.acceleration)
+        return departure.motion(within if next(run) < 2 else slow, duration, rng)
+
+    return replace(departure, motion=motion)
 
 
 SPOILT = {

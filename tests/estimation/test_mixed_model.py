@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import block_diag, toeplitz
 
 from gtau.estimation.effects.mixed_model import (
+    LagProducts,
     MixedFit,
     MixedModel,
     Noise,
@@ -19,6 +20,7 @@ from gtau.estimation.effects.mixed_model import (
 )
 
 NOISE = (Noise(0.4, (0.7, -0.3)), Noise(1.3, (-0.2, 0.1)))
+NOISES = tuple((noise,) for noise in NOISE)
 ROWS, OWN, FREE, SHARED = 60, 3, 4, 2
 GROUPS = np.array([0, 0, 1]), np.array([2, 2])
 
@@ -53,8 +55,8 @@ def columns() -> list[np.ndarray]:
 
 
 def model_of(columns: list[np.ndarray]) -> MixedModel:
-    products = tuple(lag_products(rows, stretches(len(rows))) for rows in columns)
-    return MixedModel(products, np.zeros((FREE + 1, FREE + 1)), *GROUPS, np.full(3, 1e9), NOISE)
+    products = tuple((lag_products(rows, stretches(len(rows))),) for rows in columns)
+    return MixedModel(products, np.zeros((FREE + 1, FREE + 1)), *GROUPS, np.full(3, 1e9), NOISES)
 
 
 def dense(columns: list[np.ndarray], log_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -81,7 +83,7 @@ LOG_S = np.array([-0.3, 0.5, 0.1])
 
 def test_the_loss_is_the_restricted_likelihood(columns: list[np.ndarray]) -> None:
     model = model_of(columns)
-    model = replace(model, noise=NOISE)
+    model = replace(model, noise=NOISES)
     constant = 0.5 * sum(np.linalg.slogdet(covariance(noise, stretches(ROWS)))[1] for noise in NOISE)
     for log_s in (LOG_S, LOG_S - 1.0):
         found = posterior(model, log_s)
@@ -90,7 +92,7 @@ def test_the_loss_is_the_restricted_likelihood(columns: list[np.ndarray]) -> Non
 
 def test_the_slope_is_the_derivative_of_the_loss(columns: list[np.ndarray]) -> None:
     model = replace(model_of(columns), prior=np.full(3, 0.7))
-    model = replace(model, noise=NOISE)
+    model = replace(model, noise=NOISES)
     slope = posterior(model, LOG_S).slope
     for k in range(3):
         step = 1e-5 * np.eye(3)[k]
@@ -110,7 +112,7 @@ def test_sizes_are_as_likely_with_unknowns_of_one_channel_eliminated(columns: li
 
 def test_the_posterior_is_generalised_least_squares(columns: list[np.ndarray]) -> None:
     model = model_of(columns)
-    model = replace(model, noise=NOISE)
+    model = replace(model, noise=NOISES)
     found = posterior(model, LOG_S)
     V, J, Z, e = dense(columns, LOG_S)
     inverse = np.linalg.inv(V)
@@ -128,24 +130,52 @@ def test_the_posterior_is_generalised_least_squares(columns: list[np.ndarray]) -
     assert spread[0, 0] == pytest.approx(A[0, 0] + variance[0, 0] + 2 * cross, rel=1e-7)
 
 
-def simulated(rng: np.random.Generator, rows: int = 400, alike: float = 0.0) -> tuple[MixedModel, np.ndarray]:
+def simulated(
+    rng: np.random.Generator, rows: int = 400, alike: float = 0.0, levels: tuple[float, ...] = (1.0,)
+) -> tuple[MixedModel, np.ndarray]:
     """Two channels with effects of plausible sizes and correlated noise, and what d should be.
 
-    Columns of the shared effects that look ``alike`` those of d have no size.
+    Columns of the shared effects that look ``alike`` those of d have no size. Each of the ``levels`` of noise has rows.
     """
     truth, columns = rng.standard_normal(FREE), []
     shared = rng.standard_normal(SHARED) * (not alike)
     begins = np.zeros(rows, dtype=bool)
     begins[::100] = True
     for noise in NOISE:
-        X = rng.standard_normal((rows, OWN + FREE + SHARED))
-        X[:, :OWN] = np.cumsum(X[:, :OWN], axis=0) / 10
-        X[:, -SHARED:] += alike * X[:, OWN : OWN + SHARED]
+        motions = [rng.standard_normal((rows, OWN + FREE + SHARED)) for _ in levels]
+        for X in motions:
+            X[:, :OWN] = np.cumsum(X[:, :OWN], axis=0) / 10
+            X[:, -SHARED:] += alike * X[:, OWN : OWN + SHARED]
         u = np.concatenate([rng.standard_normal(OWN), truth, shared])
-        e = -X @ u + np.linalg.cholesky(covariance(noise, begins)) @ rng.standard_normal(rows)
-        columns.append(lag_products(np.column_stack([X, e]), begins))
+        root = np.linalg.cholesky(covariance(noise, begins))
+        errors = (-X @ u + level * root @ rng.standard_normal(rows) for X, level in zip(motions, levels, strict=True))
+        parts = (lag_products(np.column_stack([X, e]), begins) for X, e in zip(motions, errors, strict=True))
+        columns.append(tuple(parts))
     known = np.zeros((FREE + 1, FREE + 1))
     return MixedModel(tuple(columns), known, *GROUPS, np.full(3, 3.0)), truth
+
+
+def test_rows_count_by_the_noise_of_their_motion() -> None:
+    """A tenth of the noise in half of the rows: with one noise for both, errors are three times as large."""
+    rng, errors, z, noises = np.random.default_rng(6), [], [], []
+    for _ in range(40):
+        model, truth = simulated(rng, levels=(1.0, 0.1))
+        fit, together = fit_mixed(model), fit_mixed(replace(model, rows=tuple(map(joined, model.rows))))
+        error = fit.at.common[:FREE] - truth
+        z.append(error / np.sqrt(np.diag(fit.at.covariance)[:FREE]))
+        errors.append((error, together.at.common[:FREE] - truth))
+        noises.append([[noise.std for noise in channel] for channel in fit.model.noise])
+    apart, one = np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
+    assert apart < one / 3
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
+    expected = np.outer([noise.std for noise in NOISE], (1.0, 0.1))
+    np.testing.assert_allclose(np.mean(noises, axis=0), expected, rtol=0.05)
+
+
+def joined(parts: tuple[LagProducts, ...]) -> tuple[LagProducts]:
+    return (
+        replace(parts[0], products=sum(part.products for part in parts), counts=sum(part.counts for part in parts)),
+    )
 
 
 def test_no_size_is_beyond_its_bound() -> None:
@@ -159,7 +189,7 @@ def test_no_size_is_beyond_its_bound() -> None:
 
 def test_a_size_far_beyond_its_bound_counts_for_nothing() -> None:
     model, _ = simulated(np.random.default_rng(5))
-    scaled = replace(model, noise=tuple(replace(noise, std=1e-3) for noise in NOISE), largest=-5.0)
+    scaled = replace(model, noise=tuple((replace(noise, std=1e-3),) for noise in NOISE), largest=-5.0)
     log_s = np.full(3, -5.0)
     fit = MixedFit(scaled, log_s)
     assert posterior(scaled, log_s + 2.0).loss < fit.at.loss - 800  # its exponential would be infinite
@@ -175,7 +205,7 @@ def test_intervals_hold_and_noise_is_found() -> None:
         fit = fit_mixed(model)
         std = np.sqrt(np.diag(fit.at.covariance)[:FREE])
         z.append((fit.at.common[:FREE] - truth) / std)
-        noises.append([(noise.std, *noise.partial) for noise in fit.model.noise])
+        noises.append([(noise.std, *noise.partial) for (noise,) in fit.model.noise])
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
     expected = [(noise.std, *noise.partial) for noise in NOISE]
     np.testing.assert_allclose(np.mean(noises, axis=0), expected, atol=0.03)
@@ -209,7 +239,7 @@ def test_the_evidence_for_an_effect_is_what_is_lost_without_it() -> None:
         assert fit.lost_without([group]) > 20
     without = find_sizes(fit.model, fit.log_s, [0])
     assert without.sizes[0] < 1e-4
-    absent = replace(model, rows=tuple(replace(part, products=_without(part.products)) for part in model.rows))
+    absent = replace(model, rows=tuple((replace(part, products=_without(part.products)),) for (part,) in model.rows))
     assert fit_mixed(absent).lost_without([0]) < 3
 
 

@@ -161,7 +161,7 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive) -> MotorEqu
     groups = np.repeat(range(len(effects)), [columns.shape[1] for columns in effects])
     rows = np.column_stack([*effects, A, left]) / noise
     nothing, none = np.zeros((A.shape[1] + 1,) * 2), np.zeros(0, dtype=int)
-    model = MixedModel((lag_products(rows, begins > 0),), nothing, groups, none, np.full(len(effects), LARGEST))
+    model = MixedModel(((lag_products(rows, begins > 0),),), nothing, groups, none, np.full(len(effects), LARGEST))
     mixed = fit_mixed(model)
     at = mixed.at
     ke, R = (values - at.common)[:2]

@@ -313,7 +313,7 @@ def _position_fault(
     q, direction, table = (part[joints == joint] for part in rows)
     shape = hats(q[:, None], np.linspace([q.min()], [q.max()], NODES))[:, 0].T @ STEPS
     columns = np.hstack([direction[:, None] * shape, shape, table[:, [*friction, -1]]])
-    products = (lag_products(columns, np.arange(len(columns)) == 0),)
+    products = ((lag_products(columns, np.arange(len(columns)) == 0),),)
     free, part = np.zeros((len(friction) + 1, len(friction) + 1)), np.repeat([0, 1], NODES)
     fit = fit_mixed(MixedModel(products, free, part, np.zeros(0, dtype=int), np.full(2, LOOSE)))
     k = int(np.argmax([fit.lost_without([0]), fit.lost_without([1])]))

@@ -157,7 +157,7 @@ def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
         return None
     rows = effect_rows(fit, windows)
     values, gain_rows = fit.solution.values, fit.system.problem.gain_rows
-    noise: tuple[Noise, ...] = ()
+    noise: tuple[tuple[Noise, ...], ...] = ()
     absent = np.full(len(rows.layouts) + 1, np.inf)
     for _ in range(STEPS):
         model, slopes, origin = linear_at(rows, values, noise)
@@ -327,7 +327,7 @@ class Influence:
         self.levels = weights_of(fit) * np.maximum(fit.system.problem.balance(fit.solution.theta), 1e-300)
         m, k = len(model.own_groups), model.unknowns
         self.unknown = slice(m, m + k)
-        self.plain = [part.plain for part in model.rows]
+        self.plain = [np.sum([part.plain for part in parts], axis=0) for parts in model.rows]
         J = model.known[:k, :k] + sum(part[self.unknown, self.unknown] for part in self.plain)
         self.inverse = np.linalg.pinv(J, rcond=1e-10, hermitian=True)
         e = model.known[:k, k] + sum(part[self.unknown, -1] for part in self.plain)
@@ -350,7 +350,7 @@ class Influence:
             J_c += product[self.unknown]
             c_e += float(product[-1])
             c_c += float(column @ product)
-            count = max(float(model.rows[j].counts[0]), 1.0)
+            count = max(sum(float(part.counts[0]) for part in model.rows[j]), 1.0)
             torque = max(torque, np.sqrt(max(float(column @ product), 0.0) / count) / self.levels[j])
         step = self.inverse @ J_c
         rest = c_c - float(J_c @ step)

@@ -4,10 +4,10 @@ Residuals ``e`` of a fit, their Jacobian ``J`` and the columns ``Z_k`` of each e
 
     e = J d + sum_k Z_k u_k + noise,     u_k ~ N(0, s_k^2),     d free,
 
-with noise of each channel that is autoregressive of second order along the rows. All ``s_k`` together maximise the
-restricted likelihood (Patterson and Thompson 1971, Harville 1977). The posterior of d moves the estimates and is their
-covariance, the posterior of ``u_k`` is how large an effect is beside all others, and the log-likelihood that is lost
-without it is the evidence for it.
+with noise of each channel and motion that is autoregressive of second order along the rows. All ``s_k`` together
+maximise the restricted likelihood (Patterson and Thompson 1971, Harville 1977). The posterior of d moves the estimates
+and is their covariance, the posterior of ``u_k`` is how large an effect is beside all others, and the log-likelihood
+that is lost without it is the evidence for it.
 
 Each channel has columns of its own beside those that all channels share, so the normal equations are an arrow: blocks
 of the channels' own columns, bordered by the shared ones. Rows enter through their products with the two rows before
@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -40,7 +41,7 @@ LEAST_FREEDOM = 0.2  # share of the rows, at least, that count for the noise
 
 @dataclass(frozen=True, eq=False)
 class LagProducts:
-    """Sums ``products`` (7, r, r) of a channel's rows times rows before them, and ``counts`` (3,) of these.
+    """Sums ``products`` (7, r, r) of rows of a channel times rows before them, and ``counts`` (3,) of these.
 
     The first three are at the lags 0, 1 and 2. Three are of the two rows at either end of each stretch, from its end:
     the first with itself, the first with the second, the second with itself. The last is of stretches of a single row.
@@ -95,7 +96,7 @@ def lag_products(rows: np.ndarray, begins: np.ndarray) -> LagProducts:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a channel: standard deviation of what is new in each row, and partial autocorrelations at two lags."""
+    """Noise of rows: standard deviation of what is new in each row, and partial autocorrelations at two lags."""
 
     std: float = 1.0
     partial: tuple[float, float] = (0.0, 0.0)
@@ -129,28 +130,32 @@ def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
 class MixedModel:
     """Products of the ``rows`` ``[own | J | shared | e]`` of each channel, and the groups whose sizes are found.
 
-    Its m own columns, k of the Jacobian, those that all channels share, and the residuals. ``known`` (k + 1, k + 1) are
-    products of further equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and
-    ``shared_groups`` the groups of the columns. Before the data the s of each group has a half-normal prior of a
-    standard deviation ``prior``, and log s is at most ``largest``, of all groups or each. ``noise`` of each channel is
-    of independent rows of unit variance where it was not found yet. The last of the unknowns act on the channels
-    ``alone``, each on one.
+    Its m own columns, k of the Jacobian, those that all channels share, and the residuals, in parts whose ``noise``
+    differs: independent of unit variance where it was not found yet. ``known`` (k + 1, k + 1) are products of further
+    equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and ``shared_groups`` the groups of the
+    columns. Before the data the s of each group has a half-normal prior of a standard deviation ``prior``, and log s is
+    at most ``largest``, of all groups or each. The last of the unknowns act on the channels ``alone``, each on one.
     """
 
-    rows: tuple[LagProducts, ...]
+    rows: tuple[tuple[LagProducts, ...], ...]
     known: np.ndarray
     own_groups: np.ndarray
     shared_groups: np.ndarray
     prior: np.ndarray
-    noise: tuple[Noise, ...] = ()
+    noise: tuple[tuple[Noise, ...], ...] = ()
     largest: float | np.ndarray = BOUNDS[1]
     alone: Sequence[int] | np.ndarray = ()
 
     @cached_property
     def grams(self) -> np.ndarray:
         """Products (c, p, p) of the channels' rows with independent noise of unit variance."""
-        noise = self.noise or (Noise(),) * len(self.rows)
-        return np.array([rows.combined(channel.weights) for channel, rows in zip(noise, self.rows, strict=True)])
+        channels = (zip(*channel, strict=True) for channel in zip(self.rows, self.noises, strict=True))
+        return np.array([sum(part.combined(noise.weights) for part, noise in parts) for parts in channels])
+
+    @property
+    def noises(self) -> tuple[tuple[Noise, ...], ...]:
+        """Noise of each channel's parts."""
+        return self.noise or tuple((Noise(),) * len(parts) for parts in self.rows)
 
     @cached_property
     def parts(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, float], ...]:
@@ -195,10 +200,16 @@ class Posterior:
         """Return the coefficients (p,) that combine a channel's columns into its residuals."""
         return self.scale * np.concatenate([self.own_effects[channel], self.common, [1.0]])
 
-    def used(self, channel: int) -> float:
-        """Compute how many rows of a channel its own and the common effects take up: tr(C X^T X)."""
+    def noises(self, channel: int) -> tuple[Noise, ...]:
+        """Estimate the noise of a channel's parts."""
+        parts, coefficients = self.model.rows[channel], self.coefficients(channel)
+        grams = [part.combined(noise.weights) for part, noise in zip(parts, self.model.noises[channel], strict=True)]
+        return tuple(noise_of(part, coefficients, self._used(channel, A)) for part, A in zip(parts, grams, strict=True))
+
+    def _used(self, channel: int, gram: np.ndarray) -> float:
+        """Compute how many rows with products ``gram`` own and common effects take up: tr(C X^T X)."""
         m = len(self.model.own_groups)
-        A = (self.model.grams[channel] * self.scale[:, None] * self.scale)[:-1, :-1]
+        A = (gram * self.scale[:, None] * self.scale)[:-1, :-1]
         B, C, root, within = self.response[channel], self.covariance, self.root[channel], A[:m, :m]
         own_effects = float(np.sum((root @ within) * root)) + float(np.sum((B.T @ within @ B) * C))
         return own_effects - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))
@@ -371,11 +382,10 @@ def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     """Find sizes of all effects and the noise of all channels in turn, from those ``near`` them if given."""
     log_s = np.full(len(model.prior), START) if near is None else near.log_s
     for _ in range(PASSES):
-        found, before = find_sizes(model, log_s), model.noise or (Noise(),) * len(model.rows)
-        log_s, at = found.log_s, found.at
-        noise = tuple(noise_of(rows, at.coefficients(c), at.used(c)) for c, rows in enumerate(model.rows))
+        found, before = find_sizes(model, log_s), model.noises
+        log_s, noise = found.log_s, tuple(map(found.at.noises, range(len(model.rows))))
         model = replace(model, noise=noise)
-        change = [abs(np.log(new.std / old.std)) for new, old in zip(noise, before, strict=True)]
+        change = [abs(np.log(new.std / old.std)) for new, old in zip(chain(*noise), chain(*before), strict=True)]
         if max(change) < SETTLED:
             break
     return MixedFit(model, log_s)

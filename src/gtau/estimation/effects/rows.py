@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, compress
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from gtau.estimation.effects.effect import (
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.mixed_model import BOUNDS, LagProducts, MixedModel, Noise, lag_products
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known, split, to_gains, weighted
+from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known, split, squared, to_gains, weighted
 from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
@@ -42,12 +43,23 @@ RANK = 1e-6  # of the largest singular value: directions below it are left out o
 FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs
 ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (experience; 1 and 10 change no interval
 # of the experiments in docs/evidence/index.md by more than a fifth)
+LEVELS = 4  # of noise at most, as the products of each are in memory
 MODES = 8  # largest modes that are kept of a longer series
 
 
 def weights_of(fit: Fit) -> np.ndarray:
     """Compute the weights of the channels' errors, (c,)."""
     return np.asarray(1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
+
+
+def noise_numbers(fit: Fit) -> list[int]:
+    """Give runs numbers (R,) of their noise: one to those of a motion, or of several motions with similar residuals."""
+    problem, motions = fit.system.problem, fit.dataset.prepared.places[0]
+    of_blocks = motions[fit.system.block_positions[:, 0].astype(int)]
+    squares = (squared(problem.blocks, fit.solution.values) * weights_of(fit) ** 2).sum(axis=1)
+    left = [squares[of_blocks == k].sum() / max(problem.rows[of_blocks == k].sum(), 1) for k in range(max(motions) + 1)]
+    place = np.argsort(np.argsort(left))
+    return (place[motions] * min(len(left), LEVELS) // len(left)).tolist()
 
 
 def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
@@ -139,11 +151,14 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class EffectRows:
-    """Rows ``[own | problem | shared]`` of each channel as products, weighted by the standard deviations of the fit."""
+    """Rows ``[own | problem | shared]`` of each channel as products, weighted by the standard deviations of the fit.
+
+    Products of runs whose noise differs are apart.
+    """
 
     fit: Fit
     layouts: tuple[Layout, ...]
-    products: tuple[LagProducts, ...]
+    products: tuple[tuple[LagProducts, ...], ...]
     known: tuple[np.ndarray, np.ndarray]
 
     def groups(self, shared: bool) -> np.ndarray:
@@ -152,17 +167,22 @@ class EffectRows:
         return np.repeat(np.arange(len(spans)), [(span.stop - span.start) * own for span, own in spans])
 
     @property
+    def squares(self) -> list[np.ndarray]:
+        """Products of each channel's rows with themselves."""
+        return [np.sum([part.products[0] for part in parts], axis=0) for parts in self.products]
+
+    @property
     def strongest(self) -> float:
         """Largest product of a column of an effect with itself, in noise variances, at its plausible size."""
         own = len(self.groups(shared=False))
         end = own + self.fit.system.problem.n_theta + FIXED
-        effects = [np.delete(np.diag(part.products[0]), np.s_[own:end]) for part in self.products]
+        effects = [np.delete(np.diag(product), np.s_[own:end]) for product in self.squares]
         return float(np.max(effects, initial=0.0))
 
     def leave_out(self, number: int, channels: np.ndarray) -> None:
         """Set an effect's own columns of some channels (c,) to zero, in place."""
         places = self.layouts[number].places
-        for part in (part for part, out in zip(self.products, channels, strict=True) if out):
+        for part in chain(*compress(self.products, channels)):
             part.products[:, places] = part.products[:, :, places] = 0.0
 
     @cached_property
@@ -196,7 +216,8 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
     plausible = np.array([column.plausible for _, columns in acting for column in columns])
     weights, gains = weights_of(fit), fit.solution.gains
     driven = fit.system.problem.unknown_gains  # a base that floats, or a sensor, has no drive of its own
-    products: list[LagProducts] = []
+    products: list[dict[int, LagProducts]] = [{} for _ in gains]
+    numbers = noise_numbers(fit)
     for run, window in windows:
         at = FitWindow(fit, run, window)
         A, keep = at.rows(torques)
@@ -206,10 +227,13 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
                                *_placed(layouts, columns, modes[run], driven, True)], axis=-1)  # fmt: skip
         used = [np.flatnonzero(kept) for kept in keep]
         parts = [lag_products(block[k], np.diff(k, prepend=-2) != 1) for block, k in zip(rows, used, strict=True)]
-        for total, part in zip(products, parts, strict=False):
-            total.add(part)
-        products = products or parts
-    result = EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
+        for total, part in zip(products, parts, strict=True):
+            if numbers[run] in total:
+                total[numbers[run]].add(part)
+            else:
+                total[numbers[run]] = part
+    by_noise = tuple(tuple(total.values()) for total in products)
+    result = EffectRows(fit, tuple(layouts), by_noise, known_rows(fit, windows))
     if result.strongest > ABSURD:
         raise GtauError("the motions leave the links' parameters too open; move several joints at once.")
     return result
@@ -229,7 +253,7 @@ def _placed(
 
 
 def linear_at(
-    rows: EffectRows, values: np.ndarray, noise: tuple[Noise, ...] = ()
+    rows: EffectRows, values: np.ndarray, noise: tuple[tuple[Noise, ...], ...] = ()
 ) -> tuple[MixedModel, np.ndarray, np.ndarray]:
     """Linearise the residuals at estimates (k,), with the ``noise`` of the channels found before.
 
@@ -244,16 +268,21 @@ def linear_at(
     origin = values.copy()
     origin[per_run] = 0.0
     own_groups, shared_groups = rows.groups(shared=False), rows.groups(shared=True)
-    parts = list(zip(_channel_maps(fit, values, origin, T.shape[1]), rows.products, strict=True))
+    maps = _channel_maps(fit, values, origin, T.shape[1])
     (theta, gains, delays), (theta_0, gains_0, delays_0) = (split(at, channels) for at in (values, fit.solution.values))
     steps = [theta - theta_0, *([1 / gains - 1 / gains_0] if fit.free_gains else []), delays - delays_0]
     n_own, end = len(own_groups), len(own_groups) + problem.n_theta + FIXED
-    squares = [M[:, free].T @ part.products[0][n_own:end, n_own:end] @ M[:, free] for M, part in parts]
+    squares = [
+        M[:, free].T @ product[n_own:end, n_own:end] @ M[:, free] for M, product in zip(maps, rows.squares, strict=True)
+    ]
     back, alone = _whitening([J_known[:, free].T @ J_known[:, free], *squares], rows.strongest)
     basis = np.zeros((T.shape[1], back.shape[1] + len(per_run)))
     basis[free, : back.shape[1]] = back
     basis[per_run, back.shape[1] :] = root
-    linear = [replace(part, basis=(n_own, np.column_stack([M[:, :-1] @ basis, M[:, -1]]))) for M, part in parts]
+    made = [(n_own, np.column_stack([M[:, :-1] @ basis, M[:, -1]])) for M in maps]
+    linear = tuple(
+        tuple(replace(part, basis=by) for part in parts) for by, parts in zip(made, rows.products, strict=True)
+    )
     known = np.column_stack([J_known[:, free] @ back, errors + J_known @ np.concatenate(steps)])
     # a change of friction between runs has no effect on known parameters
     common_groups = np.append(np.full(len(per_run), len(rows.layouts)), shared_groups)
@@ -262,7 +291,7 @@ def linear_at(
     largest = BOUNDS[1] * prior
     if not problem.wrenches:
         largest[:-1][[layout.effect.description for layout in rows.layouts]] = AS_DESCRIBED
-    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
+    model = MixedModel(linear, known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
     return model, np.hstack([T @ basis, np.zeros((len(values), len(shared_groups)))]), origin
 
 
