@@ -105,9 +105,13 @@ def noise_beside_effects(fit: Fit, allowed: float = 0.0) -> np.ndarray:
     result = effects_beside(fit)
     if result is None or any(effect.beyond and effect.share >= allowed for effect in contradictions(result)):
         return fit.solution.sigma
-    squares = np.array([[noise.std**2 for noise in noises] for noises in result.mixed.model.noise])
-    counts = [[max(part.counts[0], 1) for part in parts] for parts in result.mixed.model.rows]
-    return result.rows.fit.solution.sigma * np.sqrt(np.average(squares, axis=1, weights=counts))
+    channels = zip(result.mixed.model.noise, result.mixed.model.rows, strict=True)
+    counted = [
+        ([noise.std**2 for noise in noises], [max(part.counts[0], 1) for part in parts]) for noises, parts in channels
+    ]
+    return result.rows.fit.solution.sigma * np.sqrt(
+        [np.average(squares, weights=counts) for squares, counts in counted]
+    )
 
 
 def described_otherwise(

@@ -31,6 +31,7 @@ from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.mixed_model import BOUNDS, LagProducts, MixedModel, Noise, lag_products
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known, split, squared, to_gains, weighted
+from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
@@ -53,7 +54,7 @@ def weights_of(fit: Fit) -> np.ndarray:
 
 
 def noise_numbers(fit: Fit) -> list[int]:
-    """Give runs numbers (R,) of their noise: one to those of a motion, or of several motions with similar residuals."""
+    """Give the noise of each run a number, (R,): runs of one motion, or with similar residuals, share one."""
     problem, motions = fit.system.problem, fit.dataset.prepared.places[0]
     of_blocks = motions[fit.system.block_positions[:, 0].astype(int)]
     squares = (squared(problem.blocks, fit.solution.values) * weights_of(fit) ** 2).sum(axis=1)
@@ -232,11 +233,20 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
                 total[numbers[run]].add(part)
             else:
                 total[numbers[run]] = part
-    by_noise = tuple(tuple(total.values()) for total in products)
-    result = EffectRows(fit, tuple(layouts), by_noise, known_rows(fit, windows))
+    by_noise = (_by_noise(list(total.values())) for total in products)
+    result = EffectRows(fit, tuple(layouts), tuple(by_noise), known_rows(fit, windows))
     if result.strongest > ABSURD:
         raise GtauError("the motions leave the links' parameters too open; move several joints at once.")
     return result
+
+
+def _by_noise(parts: list[LagProducts]) -> tuple[LagProducts, ...]:
+    """Add the parts of a channel up where one has too few rows for a noise of its own."""
+    if min(part.counts[0] for part in parts) < FEWEST_ROWS:
+        for part in parts[1:]:
+            parts[0].add(part)
+        return (parts[0],)
+    return tuple(parts)
 
 
 def _placed(
