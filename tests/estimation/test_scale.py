@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from gtau import read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.scale import scale_shares, scale_uncertainty, sensor_scales
+from gtau.estimation.diagnostics.scale import scale_shares, scale_uncertainty, sensor_scales, weigh_known
 from gtau.estimation.estimators import estimator_of, estimators
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Fit
@@ -223,6 +223,19 @@ def test_derivatives_by_the_constants_are_those_of_the_full_solve(method: str) -
     expected = 0.01 * np.linalg.norm(slopes, axis=1)
     assert found[gains] == pytest.approx(expected[gains], rel=0.02)
     assert np.all(np.abs(found - expected)[thetas] < 0.05 * std)
+
+
+def test_a_payload_is_weighed_against_another_with_the_deviations_of_both() -> None:
+    """A mass 4 % too small, stated to 4 %, must not contradict a payload whose mass is exact."""
+    heavy = {kind: 2 * value for kind, value in STEEL.items()}
+    steel, lead = Payload(name="steel", mass=STEEL["m"]), Payload(name="lead", mass=1.92 * STEEL["m"], mass_std=0.08)
+    runs = [arm().run(1), arm().run(2, STEEL, steel), arm().run(3, heavy, lead)]
+    verdicts = weigh_known(fit_of(ARM, runs), "ml", 0.01, ())
+    assert {name: verdict.outcome for name, verdict in verdicts.items()} == dict.fromkeys(verdicts, Grade.GOOD)
+    sure = replace(runs[2], payload=lead.model_copy(update={"mass_std": 0.0}))
+    verdicts = weigh_known(fit_of(ARM, [*runs[:2], sure]), "ml", 0.01, ())
+    assert set(verdicts) == {"steel", "lead"}
+    assert all(verdict.outcome == Grade.CONTRADICTORY for verdict in verdicts.values())
 
 
 def test_a_sensor_out_of_scale_contradicts_the_others() -> None:

@@ -54,14 +54,15 @@ def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
     problem, dataset = system.problem, system.dataset
 
     def heavier(name: str, masses: bool, by: float) -> Problem:
-        loads = []
-        for load in (run.payload for run in dataset.runs):
-            if load is not None and load.name == name:
+        loads = dict.fromkeys(range(len(dataset.runs)))
+        for columns in system.payloads:
+            load = columns.payload
+            if load.name == name:
                 parameters = {kind: value if masses else (1 + by) * value for kind, value in load.parameters.items()}
                 mass = None if load.mass is None else (1 + by) * load.mass
                 load = load.model_copy(update={"mass": mass, "parameters": parameters})
-            loads.append(load)
-        return system.again(payloads=loads).problem
+            loads[columns.run] = load
+        return system.again(payloads=list(loads.values())).problem
 
     def louder(channels: Sequence[int], torques: np.ndarray | float, by: float) -> Problem:
         blocks = problem.blocks.copy()
@@ -320,8 +321,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
     changed = payload.model_copy(update={"mass": mass, "parameters": values})
-    stated = [run.payload for run in fit.dataset.runs]
-    other = refitted(fit, [changed if load and load.name == payload.name else load for load in stated], method=method)
+    loads = [run.payload for run in fit.dataset.runs]
+    other = refitted(fit, [changed if load and load.name == payload.name else load for load in loads], method=method)
     if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # without this value nothing gives the scale, or it cannot be separated from what is not declared
     if fit.dataset.motors:
@@ -339,7 +340,9 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
         return None
     best = min(columns, key=lambda k: float(stds[k]))
     value, declared = float(theta[best]), known_values(payload)[kind]
-    std = float(np.hypot(stds[best], payload.mass_std if mass is None else value * payload.mass_std / mass))
+    stated = scale_uncertainty(other.system, other.solve)[best, best]  # of the other payloads' masses, and of its own
+    own_std = payload.mass_std if mass is None else 0.0
+    std = float(np.sqrt(stds[best] ** 2 + stated + own_std**2))
     likelihood = float(problem.total_rows @ np.log(other.solution.sigma))
     small = abs(value - declared) <= accuracy * abs(declared)
     if fit.free_gains:
