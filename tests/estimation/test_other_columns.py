@@ -43,6 +43,17 @@ def test_one_reversed_torque_is_named(tmp_path: Path, joint: str) -> None:
     assert not result.accepted
 
 
+@pytest.mark.parametrize("factor", [10.0, 0.001])
+def test_torques_of_one_joint_in_another_unit_are_named(tmp_path: Path, factor: float) -> None:
+    robot = stated_arm.robot(tmp_path, inertias=False)
+    factors = np.where(np.array(robot.actuated) == "j2", factor, 1.0)
+    runs = [replace(run, command=np.asarray(run.command) * factors) for run in logged(robot, robot.gravity, False)]
+    result = identify(robot, runs)
+    expected = f"torques of 'j2' that are {factor:g} times as large as the other joints' torques say"
+    assert causes(result) == {expected: ("j2",)}
+    assert not result.accepted
+
+
 def test_torques_as_they_are_reverse_nothing() -> None:
     assert identify(UR10E, logged(UR10E, UR10E.gravity, False)).accepted
 

@@ -2,6 +2,7 @@
 
 - With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
   contradicts the others. All reversed explain the same, with negative masses.
+- With the torques of one joint in another unit, by the scale that the other joints give them.
 - With the other sign of a joint's position, or of its current too, by the sign of its gain then; with its zero a
   quarter of a turn off, or the columns of two joints exchanged.
 - With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
@@ -32,16 +33,23 @@ from gtau.estimation.diagnostics.descriptions import (
     residual_ratio,
 )
 from gtau.estimation.effects.effect import EstimatedEffect, encoders
+from gtau.estimation.effects.estimate import CLOSE
+from gtau.estimation.effects.rows import weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
+from gtau.estimation.estimators.newton import solve, stacked, whitening
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.factors import SIGNALS
+from gtau.estimation.regression.factors import KNOWN, MODEL, SIGNALS, delayed_signal
 from gtau.findings import Finding, Progress, listed
 from gtau.robots.robot import Coupling, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REVERSED_LEFT = 0.7  # part of the residual variance that is left with one torque reversed
+
+SCALED_LEFT = 0.85  # the same with the torques of one joint in another unit
+OTHER_UNIT = 1.5  # factor of torques, or the inverse, from which it is another unit
+SCALES = np.logspace(-4, 4, 49)  # of a joint's gain, of which the likeliest is refined
 
 REVERSED_CHANNELS = "reversed channels"
 
@@ -66,6 +74,65 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     text = f"reversed torques of {listed(names)}"
     advice = f"check the signs of the {fit.kind} and position columns of {listed(names)}"
     return described_otherwise(COLUMNS, Finding(REVERSED_CHANNELS, names, text=text, advice=advice), best, unaltered)
+
+
+def scaled_torques(fit: Fit) -> EstimatedEffect | None:
+    """Find the joint whose torques are in another unit than the others' torques; None where gains are estimated."""
+    if fit.free_gains:
+        return None
+    problem = fit.problem
+
+    def freed(joint: str, scale: float) -> Fit:
+        channels = list(problem.channels)
+        for k, channel in enumerate(channels):
+            if channel.joint != joint or not channel.kind.unknown_gain:
+                channels[k] = replace(channel, kind=replace(channel.kind, calibration="given"))
+        known = replace(problem, channels=tuple(channels), factored=problem.triangles, independent=problem.own_columns)
+        values = fit.solution.values.copy()
+        values[problem.unknowns.gains] *= np.where(known.unknown_gains, scale, 1.0)
+        return replace(fit, solution=solve(known, values, problem.weights, free_gains=True))
+
+    profiles = {joint: _scale_profile(fit, problem.joints.index(joint)) for joint in fit.dataset.robot.motors}
+    least = min(loss for _, loss in profiles.values())
+    likely = {joint: scale for joint, (scale, loss) in profiles.items() if loss < least + CLOSE}
+    unaltered, fits = freed("", 1.0), {joint: freed(joint, scale) for joint, scale in likely.items()}
+    best = min(fits.values(), key=lambda other: residual_ratio(other, unaltered))
+    scales = [fit.gains[j] / fits[joint].gains[j] for j, joint in enumerate(problem.joints) if joint in fits]
+    if residual_ratio(best, unaltered) >= SCALED_LEFT or any(1 / OTHER_UNIT < scale < OTHER_UNIT for scale in scales):
+        return None
+    times = (f"'{joint}' that are {float(f'{scale:.2g}'):g} times" for joint, scale in zip(fits, scales, strict=True))
+    sizes = " or ".join(f"{fit.kind}s of {size}" for size in times)
+    text = f"{sizes} as large as the other joints' {fit.kind}s say"
+    advice = f"check the unit of the {fit.kind}s of {listed(fits)}, and the gear ratio"
+    return described_otherwise(COLUMNS, Finding(COLUMNS, tuple(fits), text=text, advice=advice), best, unaltered)
+
+
+def _scale_profile(fit: Fit, j: int) -> tuple[float, float]:
+    """Find the likeliest of ``SCALES`` of the gain of joint ``j``, and minus its log-likelihood.
+
+    Errors ``y - X theta`` of the other channels and ``v - c (X_j theta + k)`` of this one, c = 1 / scale, are linear in
+    theta for any c; in the eigenvectors of ``X_j^T X_j``, X being whitened, no c needs a solution of its own.
+    """
+    problem, weights = fit.problem, weights_of(fit)
+    blocks = stacked(problem) * weights[:, None, None]
+    X = blocks[..., MODEL] / fit.solution.gains[:, None, None]
+    k = blocks[..., KNOWN] / fit.solution.gains[:, None]
+    v = delayed_signal(blocks, fit.solution.delays)
+    others = np.arange(len(X)) != j
+    rest, y = (
+        np.concatenate([*X[others], problem.known[:, :-1]]),
+        np.append(v[others] - k[others], problem.known[:, -1]),
+    )
+    B = whitening(np.concatenate([rest, X[j]]))
+    _, s, V = np.linalg.svd(X[j] @ B)
+    B = B @ V.T
+    shares = np.append(s**2, np.zeros(B.shape[1] - len(s)))
+    c = 1 / SCALES[:, None]
+    theta = ((y @ rest @ B) + c * (v[j] - c * k[j]) @ X[j] @ B) / (1 - shares + c**2 * shares) @ B.T
+    factors = np.where(others, 1.0, c)[:, :, None]
+    squares = np.sum((v - factors * (np.einsum("sk,npk->snp", theta, X) + k)) ** 2, axis=-1)
+    losses = np.log(squares) @ problem.total_rows / 2
+    return float(SCALES[np.argmin(losses)]), float(losses.min())
 
 
 def other_columns(fit: Fit, beside: bool, progress: Progress) -> EstimatedEffect | None:

@@ -120,9 +120,10 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             # effects beside parameters that no body has explain nothing
             estimates = (estimates_of(fit, Examination(mixed=moving), correlated=True) for moving in (None, mixed))
             alone, beside = (any(gains.impossible_parameters(fit, values)) for values in estimates)
-            wrong = misfit or beside or bool(contradicting) or bool(fit.free_gains and fit.gains.min() < 0)
+            scaled = columns.scaled_torques(fit)
+            wrong = misfit or beside or bool(contradicting or scaled or (fit.free_gains and fit.gains.min() < 0))
             others = _other_descriptions(fit, wrong, lacking, missing, (*effects, *causes), progress)
-            refit = _best_described(chain([loads], others))
+            refit = _best_described(chain([loads, scaled], others))
             explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
             if refit.cause.values["remains"] >= SURE if refit else wrong and not explained:
                 refit = _best_described([refit, columns.other_columns(fit, not alone, progress)])
