@@ -26,7 +26,7 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Options, Source, Subject, describe, geometry_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
-from gtau.estimation.regression.assembly import FEWEST_ROWS
+from gtau.estimation.regression.assembly import FEWEST_ROWS, MORE_ROWS
 from gtau.estimation.regression.dataset import preparation_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs, sensors_of
 from gtau.estimation.regression.rows import instants
@@ -212,9 +212,8 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
         rows = sum(round(joint.usable * log.rows) for joint, log in zip(checks, logs, strict=True))
         if rows < FEWEST_ROWS:
             joint = checks[0].joint
-            advice = "add runs in which it moves, or longer ones"
             text = f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps"
-            yield Finding("usable rows", (joint,), text=text, advice=advice, grade=Grade.ERROR)
+            yield Finding("usable rows", (joint,), text=text, advice=MORE_ROWS, grade=Grade.ERROR)
 
 
 def _together(subject: Subject, preparation: Preparation, progress: Progress) -> list[Finding]:

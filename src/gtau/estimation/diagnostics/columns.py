@@ -78,7 +78,8 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
 
 def scaled_torques(fit: Fit) -> EstimatedEffect | None:
     """Find the joint whose torques are in another unit than the others' torques; None where gains are estimated."""
-    if fit.free_gains:
+    motors = fit.dataset.robot.motors
+    if fit.free_gains or not motors:
         return None
     problem = fit.problem
 
@@ -92,7 +93,7 @@ def scaled_torques(fit: Fit) -> EstimatedEffect | None:
         values[problem.unknowns.gains] *= np.where(known.unknown_gains, scale, 1.0)
         return replace(fit, solution=solve(known, values, problem.weights, free_gains=True))
 
-    profiles = {joint: _scale_profile(fit, problem.joints.index(joint)) for joint in fit.dataset.robot.motors}
+    profiles = {joint: _scale_profile(fit, problem.joints.index(joint)) for joint in motors}
     least = min(loss for _, loss in profiles.values())
     likely = {joint: scale for joint, (scale, loss) in profiles.items() if loss < least + CLOSE}
     unaltered, fits = freed("", 1.0), {joint: freed(joint, scale) for joint, scale in likely.items()}
@@ -101,8 +102,7 @@ def scaled_torques(fit: Fit) -> EstimatedEffect | None:
     if residual_ratio(best, unaltered) >= SCALED_LEFT or any(1 / OTHER_UNIT < scale < OTHER_UNIT for scale in scales):
         return None
     times = (f"'{joint}' that are {float(f'{scale:.2g}'):g} times" for joint, scale in zip(fits, scales, strict=True))
-    sizes = " or ".join(f"{fit.kind}s of {size}" for size in times)
-    text = f"{sizes} as large as the other joints' {fit.kind}s say"
+    text = f"{fit.kind}s of {' or of '.join(times)} as large as the other joints' {fit.kind}s say"
     advice = f"check the unit of the {fit.kind}s of {listed(fits)}, and the gear ratio"
     return described_otherwise(COLUMNS, Finding(COLUMNS, tuple(fits), text=text, advice=advice), best, unaltered)
 
@@ -131,7 +131,7 @@ def _scale_profile(fit: Fit, j: int) -> tuple[float, float]:
     theta = ((y @ rest @ B) + c * (v[j] - c * k[j]) @ X[j] @ B) / (1 - shares + c**2 * shares) @ B.T
     factors = np.where(others, 1.0, c)[:, :, None]
     squares = np.sum((v - factors * (np.einsum("sk,npk->snp", theta, X) + k)) ** 2, axis=-1)
-    losses = np.log(squares) @ problem.total_rows / 2
+    losses = np.log(np.maximum(squares, 1e-300)) @ problem.total_rows / 2
     return float(SCALES[np.argmin(losses)]), float(losses.min())
 
 

@@ -244,6 +244,7 @@ def temperatures_of(prepared: PreparedRuns) -> Temperatures | None:
 
 
 FEWEST_ROWS = 50  # of a joint, in all runs together
+MORE_ROWS = "add runs in which it moves, or longer ones; or list a joint that stands still under 'held' of 'robot'"
 
 
 def assemble_problem(
@@ -295,7 +296,7 @@ def require_rows(problem: Problem) -> None:
         if equations < FEWEST_ROWS:
             raise GtauError(
                 f"joint '{channel.joint}' has {equations} usable rows in all runs together, away from its reversals "
-                "and gaps; add runs in which it moves, or longer ones."
+                f"and gaps; {MORE_ROWS}."
             )
 
 
