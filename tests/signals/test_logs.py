@@ -265,6 +265,12 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
         "has 100 of 1000 rows with missing or non-numeric values (first in line 9, column 'vb': 'n.a.')",
     ),
     (
+        "currents at half the rate",
+        lambda x: [line if i % 3 == 0 else f"{line.rsplit(',', 2)[0]},," for i, line in enumerate(x)],
+        HEADER,
+        "(first in line 3, column 'va'); give columns that have other rates in a file of their own (log: [FILE, FILE])",
+    ),
+    (
         "half a row at first, many times",
         lambda x: [f"{line.rsplit(',', 1)[0]}," if i < 80 else line for i, line in enumerate(x)],
         HEADER,

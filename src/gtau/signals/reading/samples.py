@@ -183,6 +183,8 @@ def complete(
     if lost > MAX_MISSING * count:
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
         remedy = "correct or delete them"
+        if 2 * lost > count:
+            remedy = "give columns that have other rates in a file of their own (log: [FILE, FILE]), or correct them"
         if lost - leading <= MAX_MISSING * count:
             remedy = f"leave out its first rows (skip: {part.skip + leading})"
         column = bad_column or columns[0]
