@@ -94,7 +94,7 @@ def test_the_loop_is_that_of_the_integrated_plant(source: str, chi: Mapping[str,
     prepared = prepare(run, preparation)
     columns = model.columns(base.standard)
     smoothed = position_filter(q, rate, reference_cutoff(preparation, run))[0]
-    found = resimulated(model, columns, values, prepared, preparation).samples()
+    found = resimulated(model, columns, values, prepared).samples()
     settled = found.time > 0.8  # the loop simulated has never been at rest
     first = round(found.time[0] * rate)
     error = (smoothed[first : first + len(found.q)] - found.q)[settled]
@@ -109,7 +109,7 @@ def test_an_inertia_that_is_not_positive_is_refused(clean: list[Run]) -> None:
     chi = {**CHI, "ia_left": -5.0}
     values = base.matrix @ np.array([chi.get(name, 0.0) for name in five_bar().parameter_names])
     with pytest.raises(GtauError, match=r"estimated inertia is not positive \(t = .* of run 'free'\)"):
-        resimulated(five_bar(), five_bar().columns(base.standard), values, prepare(clean[0], preparation), preparation)
+        resimulated(five_bar(), five_bar().columns(base.standard), values, prepare(clean[0], preparation))
 
 
 # The estimators

@@ -56,8 +56,8 @@ def test_a_wrong_scale_is_found_and_said_first(wrong: Result) -> None:
         low, high = gain.interval()
         assert low < true < high
     found = torque_scales(wrong)
-    assert [each.state for each in found] == ["wrong", "consistent with 1"]
-    low, high = found[0].reported_interval
+    assert found == {"left": "wrong", "right": "consistent with 1"}
+    low, high = sorted(1 / end for end in left.interval())
     assert low < 0.78 < high
     assert headline(wrong).startswith(f"The arm reports 0.78 ({low:.2f} to {high:.2f}) of the torque at 'left'")
     assert "The torque scale of 'right' is consistent with 1" in headline(wrong)
@@ -67,8 +67,8 @@ def test_a_wrong_scale_is_found_and_said_first(wrong: Result) -> None:
 def test_a_scale_whose_interval_excludes_1_is_not_consistent_with_1(wrong: Result) -> None:
     left, right = wrong.drive_gains.values()
     near = replace(right, value=1 + 1.2 * (right.half_interval() or 0.0))
-    (_, scale) = torque_scales(wrong.replaced(drive_gains={"left": left, "right": near}))
-    assert scale.state == "undecided"
+    states = torque_scales(wrong.replaced(drive_gains={"left": left, "right": near}))
+    assert states["right"] == "undecided"
 
 
 def test_the_correction_is_written_with_intervals(wrong: Result) -> None:
@@ -80,14 +80,14 @@ def test_the_correction_is_written_with_intervals(wrong: Result) -> None:
 
 def test_true_torques_are_said_to_be_consistent_with_1() -> None:
     found = identify(ROBOT, torques((1.0, 1.0)))
-    assert [each.state for each in torque_scales(found)] == ["consistent with 1"] * 2
+    assert [*torque_scales(found).values()] == ["consistent with 1"] * 2
     assert headline(found).startswith("The torque scales of all joints are consistent with 1, known to within")
 
 
 def test_without_a_scale_torques_are_taken_as_true_and_said_to_be_untested() -> None:
     for runs in (torques((1.2, 1.0))[:1], torques((1.2, 1.0), Payload(name="steel"))):
         found = identify(ROBOT, runs)
-        assert (found.method, headline(found), torque_scales(found)) == ("wls", UNTESTED, ())
+        assert (found.method, headline(found), torque_scales(found)) == ("wls", UNTESTED, {})
         assert {(gain.value, gain.std) for gain in found.drive_gains.values()} == {(1.0, None)}
 
 

@@ -149,7 +149,7 @@ def test_a_reversed_torque_column_contradicts_and_no_scale_is_asserted() -> None
     ]
     result = identify(FIVE_BAR, runs)
     assert kinds(result) == {"right": "negative gain"}
-    assert [each.state for each in torque_scales(result)] == ["in doubt", "contradictory"]
+    assert [*torque_scales(result).values()] == ["in doubt", "contradictory"]
     assert "The arm reports" not in headline(result)
     assert "The torque scale of 'left' is in doubt." in headline(result)
 

@@ -100,10 +100,8 @@ def _within(
 
 def widths(result: IdentifiedModel) -> dict[str, float]:
     """Half-widths of the 95 % intervals of all gains, per cent; infinite if not identifiable."""
-    return {
-        joint: np.inf if gain.half_width is None or gain.value is None else gain.half_width
-        for joint, gain in result.drive_gains.items()
-    }
+    halves = {joint: gain.half_width for joint, gain in result.drive_gains.items()}
+    return {joint: np.inf if half is None else half for joint, half in halves.items()}
 
 
 def expected_width(candidate: Candidate, result: IdentifiedModel, drives: Mapping[str, Drive]) -> float:

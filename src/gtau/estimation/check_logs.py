@@ -218,7 +218,7 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
 
 def _together(subject: Subject, preparation: Preparation, progress: Progress) -> list[Finding]:
     """List findings that need all runs together."""
-    estimator = estimator_for(subject.options, subject.runs)
+    estimator = estimator_for(subject)
     dataset = reduced(subject, estimator, progress, preparation)
     system = dataset.system()
     notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]

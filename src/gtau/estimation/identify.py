@@ -25,7 +25,7 @@ from gtau.estimation.diagnostics.scale import contradictory_voltages, sensor_con
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.electrical import motor_estimates
 from gtau.estimation.estimators import NAMES, estimator_of
-from gtau.estimation.estimators.essential import essential_fit, select_friction
+from gtau.estimation.estimators.essential import essential_parameters, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains
 from gtau.estimation.estimators.physical_consistency import Consistency, consistent
 from gtau.estimation.experiment_runs import Options, Source, Subject, geometry_of, read
@@ -151,7 +151,8 @@ def estimate(
     estimates = estimates_of(fit, examined, not as_paper, moved is not None)
     lack = lack_of_fit(fit.system.problem, fit.solution)
     plain, fit = fit, moved or fit
-    essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
+    solve = fit.solve if as_paper else fit.solve_fixed
+    essential, reduced, loss = essential_parameters(fit.problem, dataset.base.names, solve, ratio, not as_paper)
     bare: Fit | None = plain
     audit = None
     if dataset.robot.inertias:

@@ -13,7 +13,7 @@ from gtau.errors import GtauError, missing_extra
 from gtau.estimation.electrical import with_voltages
 from gtau.estimation.estimators import estimator_of, estimators
 from gtau.estimation.estimators.estimator import Estimator, Gains
-from gtau.estimation.experiment_runs import Options, Subject
+from gtau.estimation.experiment_runs import Subject
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.priors import require_scale
 from gtau.findings import Progress
@@ -29,16 +29,15 @@ UNITS_APART = 100.0  # ratio of the rms commands of two runs, from which one is 
 OVERLAP = 0.25  # s; regular clocks of two parts that a dropout cuts may be as late as time stamps
 
 
-def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
+def estimator_for(subject: Subject) -> Estimator:
     """Return the estimator asked for, or the default: ML, or as in the paper TLS, or WLS of torques; GtauError."""
-    method = "wls" if runs[0].kind == "torque" else "tls"
-    return estimator_of(options.method or (method if options.as_paper else "ml"))
+    method = "wls" if subject.runs[0].kind == "torque" else "tls"
+    return estimator_of(subject.options.method or (method if subject.options.as_paper else "ml"))
 
 
 def require_inputs(subject: Subject) -> Estimator:
     """Check that the estimator takes what is given and has what it needs, before the logs are reduced; GtauError."""
-    options = subject.options
-    estimator = estimator_for(subject.options, subject.runs)
+    options, estimator = subject.options, estimator_for(subject)
     refuse_repeated(subject.runs)
     refuse_other_unit(subject.runs)
     if options.as_paper and not estimator.in_paper:
@@ -103,9 +102,7 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
     data sheets, friction and the file's inertias test it only for the latter, as they may be rough. Raises GtauError if
     nothing fixes the scale of the currents, or the ``estimator`` lacks an input.
     """
-    runs = dataset.runs
-    named = subject.options.method is not None
-    tested = False
+    runs, named, tested = dataset.runs, subject.options.method is not None, False
     if estimator.gains != Gains.GIVEN:
         demanded = runs[0].kind == "current" or (named and estimator.gains == Gains.ESTIMATED)
         try:

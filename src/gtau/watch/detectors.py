@@ -98,12 +98,7 @@ def alone(side: np.ndarray) -> np.ndarray:
 
 def median(values: np.ndarray) -> np.ndarray:
     """Compute the median (k,) of values (n, k) without NaN; NaN where there is none."""
-    if not len(values):
-        return np.full(values.shape[1], np.nan)
-    ranked = np.sort(values, axis=0)
-    at = np.maximum(np.isfinite(values).sum(axis=0) - 1, 0)
-    columns = np.arange(values.shape[1])
-    return np.asarray((ranked[at // 2, columns] + ranked[(at + 1) // 2, columns]) / 2)
+    return np.ma.filled(np.ma.median(np.ma.masked_invalid(values), axis=0), np.nan)
 
 
 def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,9 +5,8 @@ Names are cheap to import, for the help of the command line; the estimators them
 
 from __future__ import annotations
 
-from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from gtau.errors import GtauError
 from gtau.extensions import added, registered
@@ -35,7 +34,8 @@ GROUP = "gtau.estimators"
 def estimator_of(name: str) -> Estimator:
     """Find an estimator by name; raises GtauError for one that does not exist."""
     if name in PLACES:
-        return _built_in(name)
+        module, constant = PLACES[name].split(".")
+        return cast("Estimator", getattr(import_module(f"gtau.estimation.estimators.{module}"), constant))
     if name not in registered(GROUP):
         raise GtauError(f"there is no method '{name}'; choose from {', '.join((*NAMES, *registered(GROUP)))}.")
     from gtau.estimation.estimators.estimator import Estimator
@@ -43,12 +43,6 @@ def estimator_of(name: str) -> Estimator:
     return cast(Estimator, added(GROUP, name, Estimator))
 
 
-@cache
-def _built_in(name: str) -> Any:
-    module, constant = PLACES[name].split(".")
-    return getattr(import_module(f"gtau.estimation.estimators.{module}"), constant)
-
-
 def estimators() -> dict[str, Estimator]:
     """Import all built-in estimators, by name."""
-    return {name: _built_in(name) for name in PLACES}
+    return {name: estimator_of(name) for name in PLACES}

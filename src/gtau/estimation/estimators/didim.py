@@ -67,24 +67,26 @@ def resimulated_runs(system: System, solution: Solution) -> tuple[SampleWindow, 
         )
     regressor = dataset.model.columns(dataset.base.standard)
     return tuple(
-        resimulated(dataset.model, regressor, system.motion(k, solution.theta), run, dataset.preparation)
+        resimulated(dataset.model, regressor, system.motion(k, solution.theta), run)
         for k, run in enumerate(dataset.prepared)
     )
 
 
-def resimulated(
-    idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
-) -> SampleWindow:
+def resimulated(idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun) -> SampleWindow:
     """Replace a run's motion by the loop's, for ``values`` (columns,) of the run; raises GtauError."""
+    from scipy.signal import bilinear, lfilter, lfilter_zi
+
     run, kept, rate = prepared.run, prepared.kept, prepared.run.rate
     samples, n = len(prepared), len(run.joints)
-    cutoff = reference_cutoff(preparation.at(rate), run)
+    cutoff = reference_cutoff(prepared.preparation, run)
     edge = filter_edge(rate, cutoff)
-    pole = 2 * np.pi * POLE * preparation.bandwidth
+    pole = 2 * np.pi * POLE * prepared.preparation.bandwidth
+    denominator = [1.0, 3 * pole, 3 * pole**2, pole**3]
+    # from the disturbance to the loop's error and its two derivatives
+    filters = [bilinear([1.0, *[0.0] * (k + 1)], denominator, rate) for k in range(3)]
     motion: list[np.ndarray] = []
     for _ in range(LOOP_PASSES):
-        stores = [Store((n,)) for _ in range(3)]
-        loop = Loop(rate, pole)
+        stores, states = [Store((n,)) for _ in range(3)], list[np.ndarray]()
         c = None
         change = size = 0.0
         for start, stop in spans(samples, PATH):
@@ -92,10 +94,12 @@ def resimulated(
             before = [block(rows, start, stop) for rows in motion] or reference
             labels = instants(run.name, block(prepared.time, start, stop))
             disturbance, c = _disturbance(idm, regressor, values, before, reference[1], labels, c)
-            following = [r - e for r, e in zip(reference, loop.errors(disturbance), strict=True)]
-            for store, part in zip(stores, following, strict=True):
-                store.append(part)
-            change += float(np.sum((following[2] - before[2]) ** 2))
+            states = states or [lfilter_zi(b, a)[:, None] * disturbance[:1] for b, a in filters]  # steady at first
+            for k, (b, a) in enumerate(filters):
+                error, states[k] = lfilter(b, a, disturbance, axis=0, zi=states[k])
+                following = reference[k] - error
+                stores[k].append(following)
+            change += float(np.sum((following - before[2]) ** 2))  # of the accelerations
             size += float(np.sum(reference[2] ** 2))
         motion = [store.array() for store in stores]
         if change < LOOP_CONVERGED**2 * size:
@@ -160,27 +164,6 @@ def _disturbance(
             "simulated; use --method ml, or add runs that excite the parameters better."
         )
     return np.linalg.solve(M, h.T[:, :, None])[:, :, 0], c[:, -1]
-
-
-class Loop:
-    """The loop's error and two derivatives under a disturbance in blocks, from the steady state."""
-
-    def __init__(self, rate: float, pole: float):
-        from scipy.signal import bilinear
-
-        denominator = [1.0, 3 * pole, 3 * pole**2, pole**3]
-        self._filters = [bilinear([1.0, *[0.0] * (k + 1)], denominator, rate) for k in range(3)]
-        self._states: list[np.ndarray] = []
-
-    def errors(self, disturbance: np.ndarray) -> list[np.ndarray]:
-        """Compute the three errors (M, n) from a disturbance (M, n)."""
-        from scipy.signal import lfilter, lfilter_zi
-
-        states = self._states or [lfilter_zi(b, a)[:, None] * disturbance[:1] for b, a in self._filters]
-        begun = zip(self._filters, states, strict=True)
-        errors, ends = zip(*(lfilter(b, a, disturbance, axis=0, zi=z) for (b, a), z in begun), strict=True)
-        self._states = list(ends)
-        return list(errors)
 
 
 def along_simulated_motion(system: System, solve: Solve, progress: Progress) -> System:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
-from gtau.estimation.estimators.estimator import Fit, Solution, Solve
+from gtau.estimation.estimators.estimator import Solution, Solve
 from gtau.estimation.estimators.newton import delays_lost_in_noise
 from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, System
@@ -106,7 +107,7 @@ def prune_friction_terms(problem: Problem, terms: tuple[Parameter, ...], solve: 
 
 
 def essential_parameters(
-    problem: Problem, candidates: tuple[str, ...], solve: Solve, ratio: float | None = None, correlated: bool = True
+    problem: Problem, candidates: Sequence[str], solve: Solve, ratio: float | None = None, correlated: bool = True
 ) -> tuple[Problem, Solution, float]:
     """Cancel the parameter of largest relative standard deviation among the ``candidates``, repeatedly.
 
@@ -135,10 +136,3 @@ def essential_parameters(
             return problem, solution, 100 * float(np.max(solution.sigma / whole.sigma) - 1)
         problem = problem.without([problem.parameters[index[worst]]])
         solution = solve(problem)
-
-
-def essential_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> tuple[Problem, Solution, float]:
-    """Cancel base parameters of a fit as in :func:`essential_parameters`."""
-    problem = fit.system.problem
-    candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)
-    return essential_parameters(problem, candidates, fit.solve if joint else fit.solve_fixed, ratio, correlated)

@@ -56,19 +56,13 @@ def _with_given(
     start = np.concatenate([np.zeros(problem.n_theta), gains, delays])
     solution = solve(problem, start, weigh, free_gains=False)
     if not solution.converged:
+        rows, unknowns = problem.total_rows.sum(), len(problem.parameters) + 2 * len(problem.joints)
         raise GtauError(
-            f"{name} least squares did not converge, so the data do not determine the delays of the currents: "
-            f"{scarcity(problem)}check that position and current columns belong together, and add runs that move "
-            "every joint."
+            f"{name} least squares did not converge, so the data do not determine the delays of the currents: after "
+            f"filtering there are {rows} equations for {unknowns} unknowns; log faster and longer motions, check that "
+            "position and current columns belong together, and add runs that move every joint."
         )
     return solution
-
-
-def scarcity(problem: Problem) -> str:
-    """Count equations and unknowns, and advise how to get more equations."""
-    rows = int(problem.total_rows.sum())
-    unknowns = len(problem.parameters) + 2 * len(problem.joints)
-    return f"after filtering there are {rows} equations for {unknowns} unknowns; log faster and longer motions, "
 
 
 def with_given(solver: Callable[[Problem, np.ndarray], Solution], gains: np.ndarray | None) -> Solve:

@@ -123,11 +123,10 @@ def columns_along(
     states = [PreslidingState(joint.widths) for joint in joints]
 
     def above(joint: FrictionJoint, time: np.ndarray) -> np.ndarray | float:
-        temperature = prepared.run.side.get("temperature")
-        if warm is None or not joint.warm or temperature is None or joint.motor is None:
+        if warm is None or joint.motor is None or not joint.warm:
             return 0.0
         motor = dataset.model.actuated[joint.motor]
-        return temperature.at(motor, time) - warm.reference[motor]
+        return prepared.run.side["temperature"].at(motor, time) - warm.reference[motor]
 
     def columns(time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
         q, parts, speeds = prepared.path(time), [], []

@@ -42,8 +42,7 @@ def model_estimates(
 ) -> dict[str, Any]:
     """Collect estimates, those of ``equations`` for payloads, and ``predicting`` ones after the friction step."""
     robot = fit.dataset.robot
-    temperatures = reference_temperatures(fit)
-    sensors = _link_side(fit)
+    temperatures, sensors = reference_temperatures(fit), _link_side(fit)
     listed = [name for name in predicting.unknowns if name.kind != "gain" or name.body not in sensors]
     listed.sort(key=lambda name: {"gain": 1, "delay": 2}.get(name.kind, 0))  # behind the parameters
     gains = {joint: Parameter("gain", joint) for joint in robot.motors}
@@ -71,9 +70,7 @@ def fit_record(
     fit: Fit, method: str, errors: Mapping[str, tuple[float, float]], statistics: Mapping[str, float]
 ) -> dict[str, Any]:
     """Record how the estimates were fitted, with ``errors`` over all samples by motor and further ``statistics``."""
-    dataset = fit.dataset
-    problem = fit.system.problem
-    solution = fit.solution
+    dataset, problem, solution = fit.dataset, fit.problem, fit.solution
     robot, joints = dataset.robot, dataset.model.actuated
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
@@ -121,9 +118,7 @@ def evidence(
     curves: Mapping[str, FrictionCurve],
 ) -> dict[str, Any]:
     """Collect what speaks for and against the estimates, including the estimates of the equations."""
-    dataset = fit.dataset
-    temperatures = reference_temperatures(fit)
-    sensors = _link_side(fit)
+    dataset, temperatures, sensors = fit.dataset, reference_temperatures(fit), _link_side(fit)
     replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
     replaced |= {term for term in fit.system.terms if curves and term.body not in sensors}
     along = [
@@ -172,8 +167,7 @@ def _numbers(vector: Estimates, name: Parameter) -> tuple[float | None, float | 
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
-    base = fit.dataset.base
-    robot = fit.dataset.robot
+    base, robot = fit.dataset.base, fit.dataset.robot
     parameters, differences = {}, defaultdict[str, list[float]](list)  # between runs, of friction that may drift
     for name, value in zip(fit.system.problem.parameters, fit.solution.theta.tolist(), strict=True):
         if name.run is not None:
@@ -184,10 +178,8 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     of_tool = {Parameter(kind, robot.tool) for kind in always}
     load = f" (with the load of run {next(iter(always.values()))})" if always else ""
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
-        unit = unit_of(name.kind, robot, name.body)
-        made = Estimate(name, None, None, unit)
-        if name in vector.unknowns.places:
-            made = _estimate(vector, name, unit)
+        unit, known = unit_of(name.kind, robot, name.body), name in vector.unknowns.places
+        made = _estimate(vector, name, unit) if known else Estimate(name, None, None, unit)
         parameters[name] = replace(
             made,
             regrouping=base.regroupings[name] + load * bool(of_tool & terms.keys()),
@@ -205,7 +197,7 @@ def _unit_columns(W: np.ndarray) -> np.ndarray:
 
 def _levels(fit: Fit) -> np.ndarray:
     """Compute rms residual and rms signal of each channel, (2, c), over rows that all count alike."""
-    problem, solution = fit.system.problem, fit.solution
+    problem, solution = fit.problem, fit.solution
     if fit.unweighted is None:
         return np.stack([solution.sigma, problem.balance(solution.theta)])
     weighted, unweighted = (squared(stacked(rows), solution.values) for rows in (problem, fit.unweighted))
@@ -222,19 +214,17 @@ def sensor_estimates(
     sigma, signal = _levels(fit).tolist()
     for k in problem.sensor_channels:
         channel = problem.channels[k]
-        joint = problem.channels[k].joint
-        ratio = None
+        joint, scale, name = channel.joint, scales.get(channel.name), Parameter("delay", channel.name)
+        own = [Parameter(kind, channel.name) for kind in ("off", *DRIFTING)]
         parameters = {
-            name: _estimate(vector, name, unit_of(kind, robot, joint))
-            for kind in ("off", *DRIFTING)
-            if (name := Parameter(kind, channel.name)) in vector.unknowns.places
+            name: _estimate(vector, name, unit_of(name.kind, robot, joint))
+            for name in own
+            if name in vector.unknowns.places
         }
-        if scale := scales.get(channel.name):
-            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=scale.verdict(accuracy))
-        delay = Parameter("delay", channel.name)
-        delay_estimate = _estimate(vector, delay, "s", joint, verdicts[delay])
+        ratio = scale and Estimate(joint, scale.value, scale.std, "1", verdict=scale.verdict(accuracy))
+        delay = _estimate(vector, name, "s", joint, verdicts[name])
         residual = TorqueError(joint, sigma[k], signal[k], torque_unit(robot, joint))
-        sensors.append(SensorEstimate(joint, parameters, delay_estimate, residual, ratio, channel.kind))
+        sensors.append(SensorEstimate(joint, parameters, delay, residual, ratio, channel.kind))
     return tuple(sensors)
 
 
@@ -265,9 +255,11 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
                 sums[kind] = Estimate(kind, number, std, unit, regrouping, verdict=verdict, freedom=freedom)
         estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
         if (mass := estimates.get("m")) and payload.center is not None:
-            unit = unit_of("mx", robot, robot.tool)
-            moments = zip(FIRST_MOMENTS, payload.center, strict=True)
-            estimates |= {kind: _first_moment(kind, mass, at, unit) for kind, at in moments}
+            for kind, at in zip(FIRST_MOMENTS, payload.center, strict=True):
+                value = None if mass.value is None else at * mass.value
+                std = None if mass.std is None else abs(at) * mass.std
+                moment = {"unit": unit_of(kind, robot, robot.tool), "regrouping": f"{at:.5g} m"}
+                estimates[kind] = replace(mass, name=kind, value=value, std=std, **moment)
         weighed = None if "m" in known else _weighed(robot, carried, vector)
         judged = masses.get(payload.name) or _possible(mass)
         run = runs[carried.run].name
@@ -306,9 +298,3 @@ def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighe
     values = np.array([value for _, value in stated])
     reach = longest_placement(robot)
     return Weighed(robot.tool, sums, estimates.values, estimates.covariance, exact, values, least, reach)
-
-
-def _first_moment(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
-    value = None if mass.value is None else at * mass.value
-    std = None if mass.std is None else abs(at) * mass.std
-    return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import yaml
 
@@ -33,40 +34,15 @@ NAMED = 2  # groups of contradictory joints whose reason the headline gives
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 
 
-@dataclass(frozen=True)
-class TorqueScale:
-    """Torque scale of a joint; ``state`` says whether it is wrong, consistent with 1, undecided or in doubt."""
-
-    gain: Estimate
-    state: str
-
-    @property
-    def joint(self) -> str:
-        """Its name."""
-        return self.gain.name
-
-    @property
-    def reported(self) -> float:
-        """Share of its torque that the joint reports."""
-        return 1 / (self.gain.value or 1.0)
-
-    @property
-    def reported_interval(self) -> tuple[float, float]:
-        """Ends of its 95 % interval, of an identifiable scale."""
-        low, high = sorted(1 / end for end in self.gain.interval() or (1.0, 1.0))
-        return low, high
-
-
-def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
-    """List the torque scales of all joints; empty where logs hold currents, or nothing tests the torques.
+def torque_scales(result: IdentifiedModel) -> dict[str, str]:
+    """Say of each joint's torque scale if it is wrong, consistent with 1, undecided or in doubt; empty if not tested.
 
     A scale is wrong where it differs from 1 by more than the required accuracy, and by 3.5 standard deviations: of many
     joints some are outside their 95 % interval by chance, and these are undecided.
     """
-    gains = list(result.drive_gains.values())
-    if result.kind != "torque" or all(gain.std is None for gain in gains):
-        return ()
-    accuracy = result.statistics["accuracy"]
+    gains, accuracy = result.drive_gains, result.statistics.get("accuracy", 0.0)
+    if result.kind != "torque" or all(gain.std is None for gain in gains.values()):
+        return {}
 
     def state(gain: Estimate) -> str:
         if gain.verdict.outcome not in KNOWN or gain.value is None:
@@ -78,13 +54,14 @@ def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
             return "wrong"
         return "consistent with 1" if off <= (gain.half_interval() or 0.0) else "undecided"
 
-    return tuple(TorqueScale(gain, state(gain)) for gain in gains)
+    return {joint: state(gain) for joint, gain in gains.items()}
 
 
 def torque_headline(result: IdentifiedModel) -> str:
     """Summarise the torque scale of each joint, or say that it was not tested and how to test it."""
-    if not (scales := torque_scales(result)):
-        if any(gain.value != 1 for gain in result.drive_gains.values()):
+    gains = result.drive_gains
+    if not (states := torque_scales(result)):
+        if any(gain.value != 1 for gain in gains.values()):
             return "The torque scales were given, not identified."
         if why := next((note.what for note in result.notes if note.kind == SCALE_UNTESTED), ""):
             return f"{why[0].upper()}{why[1:]}."
@@ -92,49 +69,49 @@ def torque_headline(result: IdentifiedModel) -> str:
             "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a "
             "payload of known mass and one without."
         )
-    by_state: dict[str, list[TorqueScale]] = {}
-    for scale in scales:
-        by_state.setdefault(scale.state, []).append(scale)
+    by_state = defaultdict[str, list[str]](list)
+    for joint, state in states.items():
+        by_state[state].append(joint)
     sentences = []
-    wrong = by_state.get("wrong", [])
-    right = by_state.get("consistent with 1", [])
+    wrong, right, undecided = (by_state[state] for state in ("wrong", "consistent with 1", "undecided"))
     if wrong:
-        first, *rest = ((_reported(scale), f" at '{scale.joint}'") for scale in wrong)
+        first, *rest = ((_reported(gains[joint]), f" at '{joint}'") for joint in wrong)
         parts = [" of the torque".join(first), *map("".join, rest)]
         sentences.append(f"The arm reports {enumerated(parts)} (95 % intervals).")
     if right:
-        widest = percent_text(max(scale.gain.half_width or 0.0 for scale in right))
+        widest = percent_text(max(gains[joint].half_width or 0.0 for joint in right))
         known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
-        sentences.append(_scales_are(right, known, "all joints" if len(right) == len(scales) > 1 else ""))
-    if undecided := by_state.get("undecided"):
+        sentences.append(_scales_are(right, known, "all joints" if len(right) == len(states) > 1 else ""))
+    if undecided:
         one = len(undecided) == 1
         outside = f"1 is outside {'its 95 % interval' if one else 'their 95 % intervals'}, but by too little to correct"
         sentences.append(_scales_are(undecided, f"undecided: {outside} {'it' if one else 'them'}"))
     for state in ("in doubt", Grade.NOT_IDENTIFIABLE.value):
-        if members := by_state.get(state):
-            sentences.append(_scales_are(members, state))
+        if by_state[state]:
+            sentences.append(_scales_are(by_state[state], state))
     return " ".join(sentences)
 
 
-def _scales_are(members: Sequence[TorqueScale], state: str, called: str = "") -> str:
-    names = called or listed(scale.joint for scale in members)
-    scales = "scales of {} are" if len(members) > 1 else "scale of {} is"
-    return f"The torque {scales.format(names)} {state}."
+def _scales_are(joints: Sequence[str], state: str, called: str = "") -> str:
+    scales = "scales of {} are" if len(joints) > 1 else "scale of {} is"
+    return f"The torque {scales.format(called or listed(joints))} {state}."
 
 
-def _reported(scale: TorqueScale) -> str:
-    shown = ".2f" if 0.1 <= abs(scale.reported) < 10 else ".3g"
-    value, low, high = (f"{end:{shown}}" for end in (scale.reported, *scale.reported_interval))
-    return f"{value} ({low} to {high})"
+def _reported(gain: Estimate) -> str:
+    """Write the share of its torque that a joint reports, with the ends of the 95 % interval."""
+    value, (low, high) = 1 / (gain.value or 1.0), sorted(1 / end for end in gain.interval() or (1.0, 1.0))
+    shown = ".2f" if 0.1 <= abs(value) < 10 else ".3g"
+    return f"{value:{shown}} ({low:{shown}} to {high:{shown}})"
 
 
 def torque_scale_text(result: IdentifiedModel) -> str:
     """Write the correction of the torques as YAML: a factor for each joint, with its interval and state."""
     joints: dict[str, dict[str, object]] = {}
-    for scale in torque_scales(result):
-        interval = scale.gain.interval() if scale.gain.verdict.outcome in KNOWN else None
-        factor, *ends = (float(f"{value:.4g}") for value in (scale.gain.value, *interval)) if interval else (None,)
-        joints[scale.joint] = {"factor": factor, "interval": ends or None, "state": scale.state}
+    for joint, state in torque_scales(result).items():
+        gain = result.drive_gains[joint]
+        interval = gain.interval() if gain.verdict.outcome in KNOWN else None
+        factor, *ends = (float(f"{value:.4g}") for value in (gain.value, *interval)) if interval else (None,)
+        joints[joint] = {"factor": factor, "interval": ends or None, "state": state}
     head = HEAD.format(robot=" ".join(result.robot.name.split()), runs=", ".join(result.runs))
     return head + str(yaml.safe_dump({"torque_scale": joints}, sort_keys=False, default_flow_style=None, width=120))
 
@@ -215,57 +192,50 @@ def _known(result: IdentifiedModel) -> str:
 
 def reasons(result: IdentifiedModel) -> tuple[Finding, ...]:
     """List reasons and advice for the verdicts on gains, the worst first; joints with equal advice share one."""
-    groups: dict[tuple[Grade, str, str], list[tuple[str, Finding]]] = {}
+    groups = defaultdict[tuple[Grade, str, str], dict[str, Finding]](dict)
     for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
         if finding := gain.verdict.finding:
-            key = finding.grade, finding.kind, finding.advice.removesuffix(LONGER)
-            groups.setdefault(key, []).append((gain.name, finding))
+            groups[finding.grade, finding.kind, finding.advice.removesuffix(LONGER)][gain.name] = finding
     merged = []
     for members in groups.values():
-        joints = tuple(joint for joint, _ in members)
-        ((_, first), *_) = members
-        merged.append(replace(first, joints=joints, text=_common_text(members), own=""))
+        first, *_ = members.values()
+        merged.append(replace(first, joints=tuple(members), text=_common_text(members), own=""))
     return tuple(sorted(merged, key=lambda finding: -finding.grade.rank))
 
 
-def _common_text(members: Sequence[tuple[str, Finding]]) -> str:
+def _common_text(members: Mapping[str, Finding]) -> str:
     """Say what holds of several joints, with what differs between them."""
-    alike: dict[str, dict[str, Finding]] = {}
-    for joint, finding in members:
-        alike.setdefault(finding.text, {})[joint] = finding
+    alike = defaultdict[str, list[str]](list)
+    for joint, finding in members.items():
+        alike[finding.text].append(joint)
     parts = []
-    for text, findings in alike.items():
-        owns = {joint: finding.own for joint, finding in findings.items()}
-        if "{own}" in text and len(owns) > 1:
-            parts.append(text.replace("{own}", ", ".join(f"{own} ('{joint}')" for joint, own in owns.items())))
+    for text, joints in alike.items():
+        if "{own}" in text and len(joints) > 1:
+            owns = ", ".join(f"{members[joint].own} ('{joint}')" for joint in joints)
+            parts.append(text.replace("{own}", owns))
             continue
-        said = next(iter(findings.values())).what
-        named = len(alike) == 1 or all(repr(joint) in said for joint in owns)
-        parts.append(said if named else f"{said} ({', '.join(map(repr, owns))})")
+        said = members[joints[0]].what
+        named = len(alike) == 1 or all(repr(joint) in said for joint in joints)
+        parts.append(said if named else f"{said} ({', '.join(map(repr, joints))})")
     return "; ".join(parts)
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:
     good = [gain for gain in gains if gain.verdict.outcome == Grade.GOOD]
-    total = _number(len(gains))
+    count, total = (NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(good), len(gains)))
     if len(good) == len(gains):
         widest = max(gain.half_width or 0.0 for gain in good)
         which = {1: "The drive gain is", 2: "Both drive gains are"}.get(len(gains), f"All {total} drive gains are")
         return f"{which} known to within {percent_text(widest)} % (95 % intervals)."
     if not good:
         return f"No drive gain is known to {accuracy:g} %."
-    count, verb = _number(len(good)), "is" if len(good) == 1 else "are"
-    count = count[0].upper() + count[1:]
-    return f"{count} of {total} drive gains {verb} known to {accuracy:g} % (95 % intervals)."
+    verb = "is" if len(good) == 1 else "are"
+    return f"{count.capitalize()} of {total} drive gains {verb} known to {accuracy:g} % (95 % intervals)."
 
 
 def _subject(joints: Sequence[str], one: str, several: str) -> str:
     names = listed(joints)
     return f"Joint {names} {one}" if len(joints) == 1 else f"Joints {names} {several}"
-
-
-def _number(count: int) -> str:
-    return NUMBERS[count] if count < len(NUMBERS) else str(count)
 
 
 def findings(result: IdentifiedModel) -> list[Finding]:
