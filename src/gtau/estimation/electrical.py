@@ -104,18 +104,16 @@ def _rows(prepared: PreparedRun, joint: str, drive: Drive) -> np.ndarray | None:
     where R is stated and the supply voltage unknown; all are times the duty where a supply's current is logged.
     """
     run, kept, decimator = prepared.run, prepared.kept, prepared.preparation.decimator
-    j = run.joints.index(joint)
+    j, signals = run.joints.index(joint), run.log.signals
     logged = {key: values.si(joint, run.time) for key, values in run.side.items() if joint in values.by_joint}
     u, duty, i = logged.get("voltage"), logged.get("duty"), run.command[:, j]
     if u is None and duty is not None and "supply_voltage" in logged:
         u = duty * logged["supply_voltage"]
-    resistance = drive.resistance
-    if (u is None and (duty is None or resistance is None)) or not prepared.moves[j]:
+    if (u is None and (duty is None or drive.resistance is None)) or not prepared.moves[j]:
         return None
-    signals = run.log.signals
-    supplied = duty is not None and "supply_current" in logged and (signals is None or signals.supplied)
+    supplied = "supply_current" in logged and (signals is None or signals.supplied)
     w = duty if supplied and duty is not None else np.ones_like(i)
-    y, x = (u, i) if u is not None else ((resistance or 0.0) * i, duty)
+    y, x = (u, i) if u is not None else ((drive.resistance or 0.0) * i, duty)
     sharp, gradual = (np.tanh(i / (width * float(np.std(i)) or 1.0)) for width in WIDTHS)
     raw = np.column_stack([y * w, x * w, run.position[:, j], w, sharp * w, gradual * w])
     smooth, rate, second = position_filter(raw, run.rate, prepared.preparation.cutoff, kept.start, kept.stop)

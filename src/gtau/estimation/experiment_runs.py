@@ -106,8 +106,7 @@ def describe(source: Source, runs: Sequence[Run] | None = None, options: Options
     if isinstance(source, Robot):
         if runs is not None and (isinstance(runs, Run) or not isinstance(runs, Iterable)):
             raise GtauError(OF_RUNS)
-        runs = () if runs is None else tuple(runs)
-        if not runs:
+        if not (runs := tuple(() if runs is None else runs)):
             raise GtauError("a robot alone cannot be identified; give its runs too.")
         if not all(isinstance(run, Run) for run in runs):
             raise GtauError(OF_RUNS)
@@ -124,13 +123,14 @@ def describe(source: Source, runs: Sequence[Run] | None = None, options: Options
     experiment = source if isinstance(source, Experiment) else read_experiment(source)
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
-    written: dict[str, Any] = {
-        "prior_gains": experiment.stated_gains,
-        "priors": experiment.expected_parameters,
-        "prior_inertias": experiment.prior_inertias,
-    }
-    written = {name: value for name, value in written.items() if getattr(options, name) is None}
-    options = replace(options, drives=experiment.drives, **written)
+    priors, inertias = options.priors, options.prior_inertias
+    options = replace(
+        options,
+        prior_gains=experiment.stated_gains if options.prior_gains is None else options.prior_gains,
+        priors=experiment.expected_parameters if priors is None else priors,
+        prior_inertias=experiment.prior_inertias if inertias is None else inertias,
+        drives=experiment.drives,
+    )
     return Subject(robot, (), _for_robot(options, robot), experiment)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PLACES = {
     "ml": "maximum_likelihood.ML",
-    "huber": "huber.HUBER",
+    "huber": "maximum_likelihood.HUBER",
     "iv": "instrumental_variables.IV",
     "didim": "didim.DIDIM",
     "2sls": "least_squares.TWO_STAGE",

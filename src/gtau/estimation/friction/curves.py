@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import NonNegativeFloat
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
-from gtau.estimation.estimators.huber import CONVERGED, PASSES, TUNING, robust_sigma, sandwich_factor
+from gtau.estimation.estimators.maximum_likelihood import CONVERGED, PASSES, TUNING, robust_sigma, sandwich_factor
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.friction.normal_equations import (
     FINER,

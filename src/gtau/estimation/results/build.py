@@ -221,7 +221,9 @@ def sensor_estimates(
             for name in own
             if name in vector.unknowns.places
         }
-        ratio = scale and Estimate(joint, scale.value, scale.std, "1", verdict=scale.verdict(accuracy))
+        ratio = None
+        if scale is not None:
+            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=scale.verdict(accuracy))
         delay = _estimate(vector, name, "s", joint, verdicts[name])
         residual = TorqueError(joint, sigma[k], signal[k], torque_unit(robot, joint))
         sensors.append(SensorEstimate(joint, parameters, delay, residual, ratio, channel.kind))
@@ -256,10 +258,10 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
         estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
         if (mass := estimates.get("m")) and payload.center is not None:
             for kind, at in zip(FIRST_MOMENTS, payload.center, strict=True):
-                value = None if mass.value is None else at * mass.value
-                std = None if mass.std is None else abs(at) * mass.std
-                moment = {"unit": unit_of(kind, robot, robot.tool), "regrouping": f"{at:.5g} m"}
-                estimates[kind] = replace(mass, name=kind, value=value, std=std, **moment)
+                moment = None if mass.value is None else at * mass.value
+                spread, unit = None if mass.std is None else abs(at) * mass.std, unit_of(kind, robot, robot.tool)
+                text = f"{at:.5g} m"
+                estimates[kind] = replace(mass, name=kind, value=moment, std=spread, unit=unit, regrouping=text)
         weighed = None if "m" in known else _weighed(robot, carried, vector)
         judged = masses.get(payload.name) or _possible(mass)
         run = runs[carried.run].name
