@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     import polars as pl
 
 PAPER_RATIO = 10.0  # the paper's r_sigma for the essential parameters
-NUMBERS = ("gains", "std", "residuals")  # of the document of a comparison
 NO_GAIN = {Grade.CONTRADICTORY, Grade.NOT_IDENTIFIABLE}
 
 
@@ -291,10 +290,11 @@ def compare(
 
 def comparison_document(comparison: EstimatorComparison) -> dict[str, Any]:
     """Describe the comparison as a JSON document."""
+    numbers = ("gains", "std", "residuals")
     rows = [
         {
             "method": row.method,
-            **{key: None if (held := getattr(row, key)) is None else held.tolist() for key in NUMBERS},
+            **{key: None if (held := getattr(row, key)) is None else held.tolist() for key in numbers},
             "seconds": row.seconds,
             "outcome": None if row.outcome is None else row.outcome.value,
             "refusal": row.refusal,

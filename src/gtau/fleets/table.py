@@ -109,7 +109,12 @@ class FleetTable:
 
 
 def fleet_table(reports: Sequence[Report]) -> FleetTable:
-    """Compare the gains of each joint over the robots of the same model; see :func:`_median_and_spread`."""
+    """Compare the gains of each joint over the robots of the same model; see :func:`_median_and_spread`.
+
+    Outliers exceed the ``|z|`` that Student's t exceeds with a probability of 5 % in as many draws as there are gains.
+    """
+    from scipy.special import stdtrit
+
     gains, freedoms = list[FleetGain](), list[float]()
     for report in reports:
         if report.model is None:
@@ -135,7 +140,9 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
         comparable = len(members) >= LEAST
         joints.append(JointOfFleet(*group, len(members), median, median_std, spread, comparable))
         z = np.divide(values - median, total, out=np.zeros(len(values)), where=total > 0)
-        limits = _outlier_limits(freedom, spread, tests)
+        # a spread may be the larger part: its few degrees of freedom then count for both
+        both = np.minimum(freedom, max(EFFICIENCY * (len(members) - 1), 1.0)) if spread else freedom
+        limits = stdtrit(both, 1 - FALSE_ALARM / (2 * tests))
         for place, k in enumerate(members):
             if median:
                 gains[k] = replace(gains[k], difference_percent=float(100 * (values[place] / median - 1)))
@@ -156,15 +163,6 @@ def _median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, floa
         if (median, spread) == before:
             break
     return median, spread
-
-
-def _outlier_limits(freedom: np.ndarray, spread: float, tests: int) -> np.ndarray:
-    """Compute the ``|z|`` (N,) that Student's t exceeds with a probability of 5 % in ``tests`` draws."""
-    from scipy.special import stdtrit
-
-    # a spread may be the larger part: its few degrees of freedom then count for both
-    both = np.minimum(freedom, max(EFFICIENCY * (len(freedom) - 1), 1.0)) if spread else freedom
-    return np.asarray(stdtrit(both, 1 - FALSE_ALARM / (2 * tests)))
 
 
 def _spread(squares: np.ndarray, variances: np.ndarray) -> float:

@@ -200,27 +200,24 @@ def _squares(result: IdentifiedModel, cutoff: float, prepared: PreparedRun, chi:
 
 def with_requirements(result: IdentifiedModel, experiment: Experiment, validation: Validation) -> IdentifiedModel:
     """Compare a result with the requirements of its experiment, torque errors also on the validation runs."""
-    return result.replaced(requirements=tuple(_requirements(result, experiment, validation)))
-
-
-def _requirements(result: IdentifiedModel, experiment: Experiment, validation: Validation) -> Iterator[Requirement]:
-    require, (runs, unread) = experiment.require, validation
+    require, (runs, unread), compared = experiment.require, validation, list[Requirement]()
     if require.torque_error is not None:
-        yield _torque_requirement(require.torque_error, result.residuals)
+        compared.append(_torque_requirement(require.torque_error, result.residuals))
         for note in unread:
-            yield _torque_requirement(require.torque_error, (), note.source or "validation")
+            compared.append(_torque_requirement(require.torque_error, (), note.source or "validation"))
         for run in runs:
             try:
                 predicted = prediction.predict(result, run)
                 errors = prediction.torque_errors(predicted, result.robot, result.preparation.bandwidth)
             except GtauError:
                 errors = ()
-            yield _torque_requirement(require.torque_error, errors, run.name)
+            compared.append(_torque_requirement(require.torque_error, errors, run.name))
     if require.gain_interval is not None:
         widths = {joint: gain.half_width for joint, gain in result.drive_gains.items()}
         unknown = [joint for joint, width in widths.items() if width is None]
         joint = unknown[0] if unknown else max(widths, key=lambda name: widths[name] or 0.0)
-        yield Requirement("gain_interval", require.gain_interval, widths[joint], joint)
+        compared.append(Requirement("gain_interval", require.gain_interval, widths[joint], joint))
+    return result.replaced(requirements=tuple(compared))
 
 
 def _torque_requirement(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:

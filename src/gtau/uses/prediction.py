@@ -15,7 +15,6 @@ import numpy as np
 from gtau.errors import GtauError, quoted, spelled
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.assembly import known_values
-from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed, within_limits
 from gtau.estimation.regression.rows import Law, stream_torques
 from gtau.estimation.results.conclusions import headline, loses_gains
@@ -198,7 +197,7 @@ def prepared_for(result: IdentifiedModel, run: Run | str | Path) -> tuple[Prepar
     """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
     run = suited(result, run)
     check_wrenches(result.robot, run)
-    prepared = prepare(run, at_rate_of([run], result.preparation), motor_to_joint_speed(result.idm))
+    prepared = prepare(run, result.preparation.at(run.rate), motor_to_joint_speed(result.idm))
     prepared = within_limits(result.robot, prepared, may_rest=True)
     return replace(prepared, kept=range(len(run.time))), prepared.kept
 

@@ -20,7 +20,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom, solve as newto
 from gtau.estimation.experiment_runs import Subject, options_of, read
 from gtau.estimation.preconditions import given_gains, refuse_repeated
 from gtau.estimation.regression.assembly import FEWEST_ROWS
-from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
+from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.priors import ReferenceModel
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.results.build import payload_estimates
@@ -173,7 +173,8 @@ def _prior_gains(model: IdentifiedModel, subject: Subject, where: str) -> tuple[
 
 def _reduced(model: IdentifiedModel, runs: Sequence[Run], progress: Progress) -> Dataset:
     ordered = tuple(run.ordered(run.joints, link_side=False) for run in runs)  # the model's gains say as much
-    return reduce_runs(model.robot, ordered, at_rate_of(ordered, model.preparation), progress=progress, model=model.idm)
+    preparation = model.preparation.at(min(run.rate for run in runs))
+    return reduce_runs(model.robot, ordered, preparation, progress=progress, model=model.idm)
 
 
 def _slopes(

@@ -24,8 +24,7 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics, Quantity, identified
 WEEK, WEEKLY = 7.0, 7  # days, and logs that count as a week where they have one date
 FEWEST_OF_WEEK = 3  # logs of a week; earlier logs fill up a shorter week
 ODD = 5.0  # standard deviations of an outlier, and tolerances from the model while there are too few logs to compare
-COMMON = 2  # least joints for a median of friction; of two, a change of one is seen in both by half. A five-bar with
-# 40 % more friction on four days of ten had 38 alarms in a year with 3, and has one with 2
+COMMON = 2  # least joints for a median of friction; of two, a change of one is seen in both by half
 LOUDER = float(np.log(2))  # growth of a residual that counts as odd
 RATED = 50.0  # kg of a payload where none is stated; no load is twice as heavy
 SIZES = np.geomspace(0.5, 60.0, 25)  # candidates for the smallest visible change, in standard deviations

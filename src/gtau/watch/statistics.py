@@ -38,8 +38,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import jackknife
 from gtau.estimation.friction.law import transmitted
-from gtau.estimation.regression.assembly import payload_columns
-from gtau.estimation.regression.dataset import at_rate_of
+from gtau.estimation.regression.assembly import FEWEST_ROWS, payload_columns
 from gtau.estimation.regression.factors import add_products, delayed
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs
 from gtau.estimation.regression.rows import Rows, instants, stream_rows
@@ -55,7 +54,6 @@ from gtau.signals.run import Run
 from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters, suited
 
 STEP = 1e-3  # rad or m of an encoder zero, or share of the rate: torques are linear over this
-FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 STATES = 50  # at random, at which the zero of a joint moves some torque, or none does
 UNSEEN = 1e-6  # of the largest torque, per degree, below which the zero of a joint moves no torque
 SPANNED = 1e-6  # of the square of a column: below this residual it depends linearly on the others
@@ -279,9 +277,8 @@ def normal_equations(
     run = suited(model, run).ordered(idm.actuated, link_side=False)
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
-    preparation = at_rate_of([run], model.preparation)
-    (prepared,) = prepare_runs(idm, [run], preparation)
-    decimator = preparation.at(run.rate).decimator
+    (prepared,) = prepare_runs(idm, [run], model.preparation)
+    decimator = prepared.preparation.decimator
     blocks = block_of(block_edges(prepared), decimator.outputs(len(prepared)))
     if len(blocks) < FEWEST_ROWS:
         least = (run.time[-1] - run.time[0]) * FEWEST_ROWS / max(len(blocks), 1)

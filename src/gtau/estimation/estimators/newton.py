@@ -296,17 +296,14 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
 
     opened, gains = np.zeros(len(values)), slice(-2 * n, -n)
     if free_gains and back.shape[1] < np.count_nonzero(rows.any(axis=0)):
-        opened[gains] = (OPEN * values[gains] * undetermined(rows)[gains]) ** 2
+        # gains that others take back without any effect are not determined, but for those that have none
+        norms = np.linalg.norm(rows, axis=0)
+        _, s, Vt = np.linalg.svd(triangle(rows / np.where(norms > 0, norms, 1.0)), full_matrices=False)
+        lost = (np.abs(Vt[s <= RANK * s[0]]).max(axis=0, initial=0.0) > SHARED) & (norms > 0)
+        opened[gains] = (OPEN * values[gains] * lost[gains]) ** 2
     formula = T @ formula @ T.T + np.diag(opened)
     prior_covariance = T @ prior_covariance @ T.T + np.diag(opened)
     return Solution(problem.unknowns, values, sigma, formula, replicates, {}, prior_covariance)
-
-
-def undetermined(rows: np.ndarray) -> np.ndarray:
-    """Mark the columns of ``rows``, (k,), that others take back without any effect, but for those that have none."""
-    norms = np.linalg.norm(rows, axis=0)
-    _, s, Vt = np.linalg.svd(triangle(rows / np.where(norms > 0, norms, 1.0)), full_matrices=False)
-    return np.asarray((np.abs(Vt[s <= RANK * s[0]]).max(axis=0, initial=0.0) > SHARED) & (norms > 0))
 
 
 def to_gains(values: np.ndarray, channels: int, free_gains: bool) -> np.ndarray:

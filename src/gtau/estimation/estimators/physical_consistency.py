@@ -173,8 +173,11 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
         if prior.value is not None and prior.std is not None:
             centre[k], std[k] = prior.value, prior.std
     robot_bodies = bodies[: len(bodies) - len(system.payloads)]
-    within = within_reach(robot, robot_bodies, len(names)) / (mass * length**2)
-    rigid = RigidBodies(tuple(bodies), unit, mass, length, lower, upper, within)
+    within, longest = np.zeros((len(robot_bodies), len(names))), longest_placement(robot)
+    for row, body in zip(within, robot_bodies, strict=True):  # keeps its mass within reach of its frames; see extent
+        middle, radius, ends = extent(robot, body.name)
+        row[body.places] = ball_row(middle, radius + (LAST_OVERHANG if ends else OVERHANG) * longest)
+    rigid = RigidBodies(tuple(bodies), unit, mass, length, lower, upper, within / (mass * length**2))
     return StandardUnknowns(tuple(names), S, centre, std, rigid)
 
 
@@ -207,16 +210,6 @@ def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]
         S[problem.unknowns.at(payload.unknown), begin:end] = payload.sums
     S[problem.unknowns.at(others), np.arange(end, end + len(others))] = 1.0
     return bodies, [*names, *others], S
-
-
-def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:
-    """Build rows (bodies, count) that keep the mass of each body within reach of its frames; see :func:`extent`."""
-    longest = longest_placement(robot)
-    rows = np.zeros((len(bodies), count))
-    for row, body in zip(rows, bodies, strict=True):
-        middle, radius, ends = extent(robot, body.name)
-        row[body.places] = ball_row(middle, radius + (LAST_OVERHANG if ends else OVERHANG) * longest)
-    return rows
 
 
 def natural_size(name: Parameter, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:

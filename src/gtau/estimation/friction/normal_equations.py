@@ -15,6 +15,7 @@ from gtau.estimation.friction.law import JOINT_TERMS, FrictionLaw, PreslidingSta
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import add_products, delayed_signal
 from gtau.estimation.regression.rows import Law, Rows, Sliding, column, stream_rows
+from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.model.loops import Motion
 from gtau.robots.parameter import DRY, TEMPERATURE_TERMS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
@@ -26,7 +27,6 @@ from gtau.signals.storage import Store, block, spans
 # sign at 0.003 to 0.03 of it.
 WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
 SPEEDS = 10.0 ** np.arange(-2.5, 0.51, 0.5)
-BLOCKS = 20  # of a run, as many as in identification
 MOST_BLOCKS = 60  # of all runs
 FINER = 2  # rows for one of identification: a reversal is short
 RESTING = 0.01  # of the rms speed: a joint whose filtered speed is lower rests

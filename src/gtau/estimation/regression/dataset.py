@@ -329,11 +329,6 @@ def preparation_of(
     return choose_preparation(runs, decimator, lambda chosen: best_of_trials(equations, runs, chosen))
 
 
-def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:
-    """Adapt a preparation to the lowest sampling rate of runs."""
-    return preparation.at(min(run.rate for run in runs))
-
-
 def reduce_runs(
     robot: Robot,
     runs: Sequence[Run],

@@ -30,13 +30,7 @@ UNITS = ("kg", *("m",) * 3, *("kg m2",) * 6)
 LOOSE = 10.0  # natural sizes: standard deviation of what is supposed where the data say nothing
 COMPACT = 2700.0  # kg/m3, aluminium: such a ball is supposed where the data say nothing of the inertia
 EXACT = 1e-6  # natural sizes: standard deviation of what is stated
-NARROW = 1 / 3
-"""Half an interval over the mean moment of inertia: above it, and a compact body's moment, the inertia is not shown.
-
-At 1 chance decides: on a simulated Staubli TX40 whose motion shows no inertia under 1 % of noise, moments that noise
-had made large passed, and 3 of 5 intervals of Izz held the truth. At 1/3 none of 120 passes there (20 weighings), and
-all 120 of a UR10e and 118 of 120 of a Puma 560, whose intervals hold the truth in 95 %, still do.
-"""
+NARROW = 1 / 3  # half an interval over the mean moment of inertia, from which the inertia is not shown
 STEP = 1e-20  # of complex derivatives
 IN_SUMS = 1e-6  # of a derivative: a smaller rest is rounding
 SEEN = 2.0  # standard deviations of a mass above zero
