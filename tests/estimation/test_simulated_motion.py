@@ -13,9 +13,17 @@ from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar, pair
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators import estimator_of
-from gtau.estimation.estimators.didim import POLE, along_simulated_motion, reference_cutoff, resimulated
-from gtau.estimation.estimators.instrumental_variables import Pair, instrumental, paired, with_instruments
 from gtau.estimation.estimators.maximum_likelihood import ml
+from gtau.estimation.estimators.simulated_motion import (
+    POLE,
+    Pair,
+    along_simulated_motion,
+    instrumental,
+    paired,
+    reference_cutoff,
+    resimulated,
+    with_instruments,
+)
 from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Problem

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 PLACES = {
     "ml": "maximum_likelihood.ML",
     "huber": "maximum_likelihood.HUBER",
-    "iv": "instrumental_variables.IV",
-    "didim": "didim.DIDIM",
+    "iv": "simulated_motion.IV",
+    "didim": "simulated_motion.DIDIM",
     "2sls": "least_squares.TWO_STAGE",
     "tls": "least_squares.TLS",
     "wls": "least_squares.WLS",
