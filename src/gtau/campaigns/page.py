@@ -10,14 +10,9 @@ from gtau.campaigns.folder import DESIGN, Round
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label, table_of
 
-Judged = tuple[Round, Mapping[str, Any]]
-"""A round and its decision."""
-GRADES: Mapping[str, Literal["good", "neutral", "weak", "bad"]] = {
-    "done": "good",
-    "play": "neutral",
-    "stopped": "weak",
-    "blocked": "bad",
-}
+Judged = tuple[Round, Mapping[str, Any]]  # a round and its decision
+Style = Literal["good", "neutral", "weak", "bad"]
+GRADES: Mapping[str, Style] = {"done": "good", "play": "neutral", "stopped": "weak", "blocked": "bad"}
 
 
 def campaign_page(state: CampaignState) -> Page:

@@ -88,8 +88,7 @@ class Subject:
         return {name: prior for name, prior in known.items() if name in written or sheets.get(name) != prior}
 
 
-Source = str | Path | Experiment | Robot
-"""An experiment file, what it holds, or a robot, which comes with its runs."""
+Source = str | Path | Experiment | Robot  # an experiment file, what it holds, or a robot, which comes with its runs
 
 
 def read(source: Source, runs: Sequence[Run] | None, options: Options, progress: Progress = silent) -> Subject:

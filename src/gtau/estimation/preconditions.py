@@ -112,11 +112,9 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
             if demanded:
                 raise GtauError("; ".join([*map(str, dataset.remarks), str(refusal)])) from None
         else:
-            if demanded:
-                return ((estimator, None),)
             tested = tests_torques(system, subject.stated)
-    if tested and named:
-        return ((estimator, None),)
+            if demanded or (tested and named):
+                return ((estimator, None),)
     given = estimator if named else estimator_of("wls")
     gains = given_gains(dataset.robot, runs, subject.options.gains, given.name)
     return ((estimator, None), (given, gains)) if tested else ((given, gains),)

@@ -209,9 +209,7 @@ def predict(result: IdentifiedModel, run: Run | str | Path, external: np.ndarray
     """
     prepared, moving = prepared_for(result, run)
     notes = tuple(_assumed(result, prepared.run, named=not isinstance(run, Run)))
-    run = prepared.run
-    decimator = prepared.preparation.decimator
-    time = np.asarray(prepared.time)
+    run, decimator, time = prepared.run, prepared.preparation.decimator, np.asarray(prepared.time)
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     check_temperature_unit(result, run)
     # each joint's position is filtered only as much as its noise requires

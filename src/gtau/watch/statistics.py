@@ -73,8 +73,7 @@ TITLES = {
     RESIDUAL: "residual",
 }
 """Names of kinds that people read; all others are of the load."""
-SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}
-"""Units that people read as others, and the factors to them."""
+SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}  # units that people read as others, and the factors to them
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 inverse_of = partial(np.linalg.pinv, rcond=1e-10, hermitian=True)  # directions without any effect are left out
 

@@ -27,8 +27,7 @@ PLACES = {
 """Where each estimator stands, in this folder."""
 
 NAMES = tuple(PLACES)
-GROUP = "gtau.estimators"
-"""Of the entry points of other distributions."""
+GROUP = "gtau.estimators"  # of the entry points of other distributions
 
 
 def estimator_of(name: str) -> Estimator:

@@ -12,12 +12,10 @@ import numpy as np
 from gtau.estimation.friction.normal_equations import SMOOTH, WEIGHTS, WIDTHS, FrictionGroup, FrictionJoint
 
 ROUNDING = 1e-9  # of the way to the next width or speed tried
-FREE = ("off", "fvt", "fst")
-"""Parameters of either sign."""
+FREE = ("off", "fvt", "fst")  # parameters of either sign
+# terms that the selection tries, and their words
 WORDS = {"width": "presliding", "speed": "bent", "load": "load", "temperature": "temperature"}
-"""Terms that the selection tries, and their words."""
-SHAPE_OF = {"width": "width", "speed": "vs"}
-"""Terms with a value, and the parameters that hold these values."""
+SHAPE_OF = {"width": "width", "speed": "vs"}  # terms with a value, and the parameters that hold these values
 TERM_T = 2.5  # standard errors, over blocks left out, by which friction with a term is better
 TERM_SHARE = 0.05  # share of the squared error of blocks left out that a term of friction takes away
 FEWEST_BLOCKS = 6

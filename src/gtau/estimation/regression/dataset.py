@@ -194,13 +194,11 @@ class Dataset:
         near = None if self.factors else singular_distances(self.model)
 
         def counted(rows: Iterator[Rows], blocks: np.ndarray, samples: int, distances: Store) -> Iterator[Rows]:
-            now = -1
             for part in rows:
                 if near is not None:
                     distances.append(near(part.motion).T)
-                if (last := int(blocks[part.outputs.stop - 1])) > now:
-                    now = last
-                    progress("model along the runs", begun + samples * now // BLOCKS, total)
+                done = begun + samples * int(blocks[part.outputs.stop - 1]) // BLOCKS
+                progress("model along the runs", done, total)
                 yield part
 
         for k, run in enumerate(runs):

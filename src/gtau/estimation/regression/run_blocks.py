@@ -32,8 +32,7 @@ WINDOWS = 10  # of a run, within which residuals may be autocorrelated
 SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
 WINDOW_REST = 0.5  # of a window: longer rests are cut out
 
-Windows = Sequence[tuple[int, SampleWindow]]
-"""Windows of runs, each with its run's number."""
+Windows = Sequence[tuple[int, SampleWindow]]  # windows of runs, each with its run's number
 
 
 def block_edges(prepared: PreparedRun | SampleWindow) -> np.ndarray:

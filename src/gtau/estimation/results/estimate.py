@@ -275,7 +275,6 @@ def nearest_poses(prepared: PreparedRun, decimator: Decimator, values: np.ndarra
         if distances.size and not np.isnan(distances).all():
             k = int(np.nanargmin(distances))
             at = int(instants[k])
-            q = prepared.samples(at, at + 1).q[0]
-            pose = {joint: float(value) for joint, value in zip(prepared.run.joints, q, strict=True)}
+            pose = dict(zip(prepared.run.joints, prepared.samples(at, at + 1).q[0].tolist(), strict=True))
             since_start = float(prepared.time[at] - prepared.run.time[0])
             yield NearestPose(prepared.run.name, kind, float(distances[k]), since_start, pose)
