@@ -84,29 +84,25 @@ def friction_step(
     errors: dict[str, tuple[float, float]] = {}
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
     groups = _on_all_samples(fit, joints)
-    choices = [choose(group) if len(group.G) else None for group in groups]
-    mixes = {joint: np.zeros(joint.count) for joint in joints}
-    for group, choice in zip(groups, choices, strict=True):
-        if choice is not None:
-            ends = np.cumsum([joint.count for joint in group.joints])
-            mixes |= dict(zip(group.joints, np.split(_error(choice[0]), ends), strict=False))
+    choices = [choose(group) for group in groups]
+    mixes: dict[FrictionJoint, np.ndarray] = {}
+    for group, (candidate, _, _) in zip(groups, choices, strict=True):
+        ends = np.cumsum([joint.count for joint in group.joints])
+        mixes |= dict(zip(group.joints, np.split(_error(candidate), ends), strict=False))
     filtered = normal_equations(fit, joints, mixes=mixes)  # errors are stated behind the filter of these rows
-    for group, choice, rows in zip(groups, choices, filtered, strict=True):
-        if choice is not None:
-            candidate, plain, evidence = choice
-            names, values, slopes, scatter = group_estimates(group, candidate)
-            unknowns = [name_of.get(name, name) for name in names]
-            more = len(estimates.unknowns) - fixed.shape[1]  # were appended since
-            slopes = np.pad(slopes @ fixed, ((0, 0), (0, more)))
-            estimates = estimates.updated(unknowns, values, slopes, scatter, float(len(group.G) - 1))
-            names_of_curves += unknowns
-            curves |= _curves(group, candidate, plain, evidence)
-            motors = (fit.dataset.model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(rows), strict=True))
-    if curves:
-        replaced = set(fit.system.terms).difference(names_of_curves)
-        estimates = estimates.select([name for name in estimates.unknowns if name not in replaced])
-    return estimates, {joint.name: curves[joint.name] for joint in joints if joint.name in curves}, errors
+    for group, (candidate, plain, evidence), rows in zip(groups, choices, filtered, strict=True):
+        names, values, slopes, scatter = group_estimates(group, candidate)
+        unknowns = [name_of.get(name, name) for name in names]
+        more = len(estimates.unknowns) - fixed.shape[1]  # were appended since
+        slopes = np.pad(slopes @ fixed, ((0, 0), (0, more)))
+        estimates = estimates.updated(unknowns, values, slopes, scatter, float(len(group.G) - 1))
+        names_of_curves += unknowns
+        curves |= _curves(group, candidate, plain, evidence)
+        motors = (fit.dataset.model.actuated[j] for j in group.motors)
+        errors |= dict(zip(motors, _errors(rows), strict=True))
+    replaced = set(fit.system.terms).difference(names_of_curves)
+    estimates = estimates.select([name for name in estimates.unknowns if name not in replaced])
+    return estimates, {joint.name: curves[joint.name] for joint in joints}, errors
 
 
 def _on_all_samples(fit: Fit, joints: Sequence[FrictionJoint]) -> tuple[FrictionGroup, ...]:
@@ -116,7 +112,7 @@ def _on_all_samples(fit: Fit, joints: Sequence[FrictionJoint]) -> tuple[Friction
         return groups
     limits = [np.full(len(group.motors), TUNING) for group in groups]
     for _ in range(PASSES):
-        errors = [_error(choose(group)[0]) if len(group.G) else np.zeros(len(group.cross) + 1) for group in groups]
+        errors = [_error(choose(group)[0]) for group in groups]
         if before is not None and np.allclose(np.hstack(errors), before, rtol=CONVERGED, atol=0):
             break
         before = np.hstack(errors)

@@ -248,13 +248,12 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
         for kind, value in known.items():
             stated = payload.mass_std or None if kind == "m" else None
             sums[kind] = Estimate(kind, value, stated, unit_of(kind, robot, robot.tool), kind)
-        for name in carried.unknown:
-            if (kind := name.kind) not in sums:
-                unit, (number, std, freedom) = unit_of(kind, robot, robot.tool), _numbers(vector, name)
-                verdict, regrouping = parameter_verdict(number, std), carried.regrouping(name)
-                if kind in always and number is not None:
-                    verdict, regrouping = NO_EMPTY_RUN, f"{regrouping} - {kind} of run {always[kind]}"
-                sums[kind] = Estimate(kind, number, std, unit, regrouping, verdict=verdict, freedom=freedom)
+        for kind, name in ((name.kind, name) for name in carried.unknown):
+            unit, (number, std, freedom) = unit_of(kind, robot, robot.tool), _numbers(vector, name)
+            verdict, regrouping = parameter_verdict(number, std), carried.regrouping(name)
+            if kind in always and number is not None:
+                verdict, regrouping = NO_EMPTY_RUN, f"{regrouping} - {kind} of run {always[kind]}"
+            sums[kind] = Estimate(kind, number, std, unit, regrouping, verdict=verdict, freedom=freedom)
         estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
         if (mass := estimates.get("m")) and payload.center is not None:
             for kind, at in zip(FIRST_MOMENTS, payload.center, strict=True):
