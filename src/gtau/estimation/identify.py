@@ -151,7 +151,7 @@ def estimate(
     lack = lack_of_fit(fit.system.problem, fit.solution)
     plain, fit = fit, moved or fit
     solve = fit.solve if as_paper else fit.solve_fixed
-    essential, reduced, loss = essential_parameters(fit.problem, dataset.base.names, solve, ratio, not as_paper)
+    essential, reduced, loss = essential_parameters(fit.problem, fit.dataset.base.names, solve, ratio, not as_paper)
     bare: Fit | None = plain
     audit = None
     if dataset.robot.inertias:
@@ -171,13 +171,12 @@ def estimate(
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
-    sensors = sensor_estimates(plain, estimates, verdicts, scales, accuracy)
     return IdentifiedModel(
         dataset.equations,
         **model_estimates(fit, estimates, predicting, verdicts, payloads, essential),
         **fit_record(fit, estimator.name, errors, figures),
         **evidence(fit, estimates, examined, findings, curves),
-        sensors=sensors,
+        sensors=sensor_estimates(plain, estimates, verdicts, scales, accuracy),
         consistency=bodies,
         audit=audit,
         motors=Named(motor_estimates(dataset, estimates)),

@@ -1,6 +1,8 @@
 """Maximum likelihood of parameters, drive gains and delays in the domain of the current references.
 
-The default, and the estimator to choose unless there is a reason for another. All noise is taken to be the current's,
+``ml`` is the default, and the estimator to choose unless there is a reason for another. Choose ``huber``, in which rows
+with large residuals count less, where logs hold outliers, such as collisions or dropouts. All noise is taken to be the
+current's,
 
     e_j = v(t - d_j) - (W_theta theta + known) / g_j ,
 
@@ -8,9 +10,7 @@ of a standard deviation sigma_j of its own in every channel, estimated from its 
 of torque sensors, whose gain is 1. Known parameters are further equations, with their own standard deviations. (From
 torque residuals of the homogeneous system a gain could buy small residuals by collapsing to zero.)
 
-Choose ``huber``, in which rows with large residuals count less, where logs hold outliers, such as collisions or
-dropouts. Iteratively reweighted least squares: the weights follow from the residuals, so the logs are streamed again
-with the weights of the previous pass.
+Huber's weights follow from the residuals, so the logs are streamed again with the weights of the previous pass.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
-"""Estimators along a simulated motion: DIDIM and instrumental variables.
+"""DIDIM and instrumental variables (IDIM-IV), which simulate the motion with the current estimate.
 
-Choose ``didim`` where encoders are coarse or noisy, beside ``iv`` (Gautier, Janot and Vandanjon: parameters from the
-currents alone). The regressor is taken along the motion of the robot simulated in closed loop with the current
-estimate. No measured position enters it, so nothing is differentiated and no noise is amplified; the next estimate is
-simulated again, until the gains converge.
+Choose ``didim``, which takes no measured position, where encoders are coarse or noisy, beside ``iv``. Choose ``iv``,
+the equations as measured, weighted by a motion without noise, where encoders are coarse or noisy, or the filter is
+poor.
 
-The control law of a logged robot is unknown, so the simulated one is the usual substitute: PID through the inertia of
-the model itself, the acceleration of the reference fed forward,
+DIDIM (Gautier, Janot and Vandanjon) takes the regressor along the motion of the robot simulated in closed loop, so that
+nothing is differentiated and no noise is amplified; the next estimate is simulated again, until the gains converge. The
+control law of a logged robot is unknown, so the simulated one is the usual substitute: PID through the inertia of the
+model itself, the acceleration of the reference fed forward,
 
     M(q) (qdd_r + kd ed + kp e + ki int e) = M(q) qdd + h(q, qd),      e = q_r - q
 
@@ -16,11 +17,10 @@ the whole run by filtering ``M^-1 h`` along the motion of the previous pass, unt
 forgets in a few ``1 / pole``, so two or three passes suffice, each as fast as the model along a log. (Integrated step
 by step, the Orthoglide takes a thousand times as long.)
 
-Choose ``iv`` (IDIM-IV) where encoders are coarse or noisy, or the filter is poor. Encoder noise is amplified twice by
-differentiation to accelerations. It enters the regressor, so least squares and maximum likelihood underestimate every
-parameter, the more so the poorer the filter. The method of Janot et al. multiplies the equations not by the Jacobian J
-of the errors e, but by the same Jacobian along a motion simulated with the current estimate, whose errors are
-uncorrelated with the errors of the equations:
+Encoder noise is amplified twice by differentiation to accelerations. It enters the regressor, so least squares and
+maximum likelihood underestimate every parameter, the more so the poorer the filter. The method of Janot et al.
+multiplies the equations not by the Jacobian J of the errors e, but by the same Jacobian along a simulated motion, whose
+errors are uncorrelated with the errors of the equations:
 
     J_s^T e = 0    instead of    J^T e = 0 ,
 
