@@ -166,8 +166,6 @@ def groups_of(joints: Sequence[FrictionJoint]) -> list[tuple[tuple[FrictionJoint
     """Group joints that share motors, with the numbers of the motors."""
     from scipy.sparse.csgraph import connected_components
 
-    if not joints:
-        return []
     driven = np.array([joint.ratios != 0 for joint in joints]).astype(int)
     count, label = connected_components(driven @ driven.T, directed=False)
     members = [np.flatnonzero(label == group) for group in range(count)]
