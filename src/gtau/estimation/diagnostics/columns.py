@@ -46,7 +46,6 @@ from gtau.robots.robot import Coupling, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REVERSED_LEFT = 0.7  # part of the residual variance that is left with one torque reversed
-
 SCALED_LEFT = 0.85  # the same with the torques of one joint in another unit
 OTHER_UNIT = 1.5  # factor of torques, or the inverse, from which it is another unit
 SCALES = np.logspace(-4, 4, 49)  # of a joint's gain, of which the likeliest is refined
@@ -78,10 +77,10 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
 
 def scaled_torques(fit: Fit) -> EstimatedEffect | None:
     """Find the joint whose torques are in another unit than the others' torques; None where gains are estimated."""
-    motors = fit.dataset.robot.motors
-    if fit.free_gains or not motors:
-        return None
     problem = fit.problem
+    places = {joint: problem.joints.index(joint) for joint in fit.dataset.robot.motors}
+    if fit.free_gains or not places:
+        return None
 
     def freed(joint: str, scale: float) -> Fit:
         channels = list(problem.channels)
@@ -93,12 +92,12 @@ def scaled_torques(fit: Fit) -> EstimatedEffect | None:
         values[problem.unknowns.gains] *= np.where(known.unknown_gains, scale, 1.0)
         return replace(fit, solution=solve(known, values, problem.weights, free_gains=True))
 
-    profiles = {joint: _scale_profile(fit, problem.joints.index(joint)) for joint in motors}
+    profiles = {joint: _scale_profile(fit, j) for joint, j in places.items()}
     least = min(loss for _, loss in profiles.values())
     likely = {joint: scale for joint, (scale, loss) in profiles.items() if loss < least + CLOSE}
     unaltered, fits = freed("", 1.0), {joint: freed(joint, scale) for joint, scale in likely.items()}
     best = min(fits.values(), key=lambda other: residual_ratio(other, unaltered))
-    scales = [fit.gains[j] / fits[joint].gains[j] for j, joint in enumerate(problem.joints) if joint in fits]
+    scales = [fit.gains[places[joint]] / other.gains[places[joint]] for joint, other in fits.items()]
     if residual_ratio(best, unaltered) >= SCALED_LEFT or any(1 / OTHER_UNIT < scale < OTHER_UNIT for scale in scales):
         return None
     times = (f"'{joint}' that are {float(f'{scale:.2g}'):g} times" for joint, scale in zip(fits, scales, strict=True))
@@ -119,10 +118,8 @@ def _scale_profile(fit: Fit, j: int) -> tuple[float, float]:
     k = blocks[..., KNOWN] / fit.solution.gains[:, None]
     v = delayed_signal(blocks, fit.solution.delays)
     others = np.arange(len(X)) != j
-    rest, y = (
-        np.concatenate([*X[others], problem.known[:, :-1]]),
-        np.append(v[others] - k[others], problem.known[:, -1]),
-    )
+    rest = np.concatenate([*X[others], problem.known[:, :-1]])
+    y = np.append(v[others] - k[others], problem.known[:, -1])
     B = whitening(np.concatenate([rest, X[j]]))
     _, s, V = np.linalg.svd(X[j] @ B)
     B = B @ V.T

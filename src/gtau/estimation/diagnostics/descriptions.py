@@ -105,13 +105,11 @@ def noise_beside_effects(fit: Fit, allowed: float = 0.0) -> np.ndarray:
     result = effects_beside(fit)
     if result is None or any(effect.beyond and effect.share >= allowed for effect in contradictions(result)):
         return fit.solution.sigma
-    channels = zip(result.mixed.model.noise, result.mixed.model.rows, strict=True)
-    counted = [
-        ([noise.std**2 for noise in noises], [max(part.counts[0], 1) for part in parts]) for noises, parts in channels
-    ]
-    return result.rows.fit.solution.sigma * np.sqrt(
-        [np.average(squares, weights=counts) for squares, counts in counted]
-    )
+    levels = []
+    for noises, parts in zip(result.mixed.model.noise, result.mixed.model.rows, strict=True):
+        squares, counts = [noise.std**2 for noise in noises], [max(part.counts[0], 1) for part in parts]
+        levels.append(np.sqrt(np.average(squares, weights=counts)))
+    return result.rows.fit.solution.sigma * levels
 
 
 def described_otherwise(
