@@ -114,7 +114,7 @@ def brakes(fit: Fit, estimates: Estimates, name: Parameter) -> bool:
     if name.kind != "fv" or not {name, coulomb} <= set(places) or name.body not in actuated:
         return False
     at, slopes = [places[name], places[coulomb]], np.array([rms_speeds(fit)[actuated.index(name.body)], 1.0])
-    std = np.sqrt(slopes @ estimates.covariance[np.ix_(at, at)] @ slopes)
+    std = np.sqrt(max(slopes @ estimates.covariance[np.ix_(at, at)] @ slopes, 0.0))
     return bool(slopes @ estimates.values[at] > -NEGATIVE_STD * std)
 
 

@@ -117,7 +117,8 @@ def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
     """Estimate the noise from residuals; ``used`` is the number of rows that the estimates take up."""
     sums, counts = rows.squares(coefficients), np.maximum(rows.counts, 1)
     c0, c1, c2 = sums[:3] / counts / (1, 2, 2)
-    r1, r2 = np.clip(np.array([c1, c2]) / max(c0, 1e-300), -1.0, 1.0)
+    c0 = max(c0, 0.0)  # but for rounding
+    r1, r2 = np.clip([c1, c2], -c0, c0) / max(c0, 1e-300)
     first = np.clip(r1, -LARGEST_CORRELATION, LARGEST_CORRELATION)
     second = np.clip((r2 - r1**2) / max(1 - first**2, 1e-9), -LARGEST_CORRELATION, LARGEST_CORRELATION)
     noise = Noise(1.0, (float(first), float(second)))
