@@ -124,11 +124,26 @@ FitSystem = Callable[[System, np.ndarray | None, Progress], Fit]
 class Estimator:
     """One way to estimate parameters, and the drive gains where currents are logged.
 
-    ``solver`` maps the gains (n,), None if they are to be estimated, to the function that solves a problem, for
-    friction selection and sensitivities; N m/A or N per A, for torques the ratio of true to logged ones. ``fit`` fits a
-    system, with gains or without, and raises GtauError where the data do not suit the method. ``least_squares`` says
-    that it minimises squares, so that constraints can be added to it, ``takes_priors`` that it accepts further
-    equations: known parameters, torque sensors and a floating base.
+    Attributes
+    ----------
+    name : str
+        As users choose it.
+    description : str
+        For the head of a summary.
+    gains : Gains
+        Whether it estimates the gains or takes them.
+    solver : callable
+        Maps the gains (n,), None if they are to be estimated, to the function that solves a problem: for friction
+        selection and sensitivities. N m/A or N per A, for torques the ratio of true to logged ones.
+    fit : callable
+        Fits a system, with gains or without, and reports its progress. Raises GtauError where the data do not suit the
+        method.
+    in_paper : bool
+        Whether the paper uses it.
+    least_squares : bool
+        Whether it minimises squares, so that constraints can be added to it.
+    takes_priors : bool
+        Whether it accepts further equations: known parameters, torque sensors and a floating base.
     """
 
     name: str

@@ -51,14 +51,14 @@ class IdentifiedModel:
         Friction beyond that among the base parameters: ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, and in ``width_J`` and
         ``vs_J`` the width of presliding and the speed at which it bends; in the paper's way the terms of the equations,
         ``f3_J`` among them. Name to Estimate.
-    payloads, sensors : tuple of PayloadEstimate, of SensorEstimate
-        One entry for each loaded run, and for each torque sensor of a joint.
+    payloads : tuple of PayloadEstimate
+        One entry for each loaded run.
     covariance_names, covariance : tuple of Parameter, ndarray
         Of parameters, gains and delays, by the block jackknife.
     method, kind : str
         Name of the estimator; whether logs hold currents or torques.
-    runs, data : tuple of str, of Run
-        Names of the runs, and the runs themselves.
+    runs : tuple of str
+        Names of the runs.
     preparation : Preparation
         How the logs were filtered and decimated.
     residuals : tuple of TorqueError
@@ -67,27 +67,37 @@ class IdentifiedModel:
         Actuated joint to its largest speed among the rows used, rad/s or m/s; friction is extrapolated beyond.
     statistics : dict
         Further figures of the method.
+    sensors : tuple of SensorEstimate
+        Torque sensors of joints, with what was estimated of each.
     temperatures : ReferenceTemperatures, optional
         At which friction has these values, where temperatures were logged.
-    consistency, audit : Consistency, InertiaAudit, optional
-        Physically consistent standard parameters, if requested; what the data say of the inertias of the robot's file.
+    consistency : Consistency, optional
+        Physically consistent standard parameters, if requested.
     scale : dict
         Joint to what the scale of its drive gain rests on, in shares that add up to one.
     singular_values : tuple of float
         Of ``W_tot`` (eq. 33) in falling order, rows weighted and columns of unit length; empty where the gains were
         given. ``model.json`` holds neither these, nor ``data`` or ``distances``.
-    notes, effects : tuple of Finding, of EstimatedEffect
-        What was repaired, left out, or is not to be trusted; what model and description may lack, as the data show it,
-        and by how much that moves the gains.
-    curves, equation_friction : dict
-        What the data say of friction on all samples; joint to FrictionCurve. Empty for the paper's way. Friction in the
-        equations that give gains and inertia, which leave out samples near reversals; name to Estimate.
+    data : tuple of Run
+        The runs themselves.
+    notes : tuple of Finding
+        What was repaired, left out, or is not to be trusted.
+    effects : tuple of EstimatedEffect
+        What model and description may lack, as the data show it, and by how much that moves the gains.
+    curves : dict
+        What the data say of friction on all samples; joint to FrictionCurve. Empty for the paper's way.
+    equation_friction : dict
+        Friction in the equations that give gains and inertia, which leave out samples near reversals.
+    geometry : GeometryTest, optional
+        What logged poses say of the robot's geometry.
     motors : dict
         Back-EMF constant ``ke_J`` and resistance ``R_J`` of the motors whose voltages were logged; name to Estimate.
+    audit : InertiaAudit, optional
+        What the data say of the inertias of the robot's file.
     requirements : tuple of Requirement
         What the experiment file requires, and what was found of it.
-    geometry, singularities : GeometryTest, optional; tuple of NearestPose
-        What logged poses say of the robot's geometry; where each run comes nearest to singularities of either type.
+    singularities : tuple of NearestPose
+        Where each run comes nearest to singularities of either type.
     recording : Recording, optional
         Columns and units of its logs, by which further logs of the recorder are read; None where its runs differ.
     distances : tuple of ndarray
