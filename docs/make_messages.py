@@ -10,12 +10,14 @@ import csv
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
+
+import numpy as np
 
 from gtau.estimation.effects.known import EFFECTS
 from gtau.findings import VERDICTS, Finding, Grade
@@ -150,10 +152,15 @@ def kinds(module: Module, kind: ast.expr) -> list[Line]:
 
 def effects() -> Iterator[Finding]:
     """Yield the causes of all effects, as they are named for a joint."""
-    fit = SimpleNamespace(kind="current", system=SimpleNamespace(payloads=("…",)))
+    robot = SimpleNamespace(joint=lambda name: SimpleNamespace(turns=True))
+    system = SimpleNamespace(payloads=("…",), joints=("…",))
+    fit = SimpleNamespace(
+        kind="current", system=system, problem=system, dataset=SimpleNamespace(robot=robot), waves=np.ones((1, 1))
+    )
     column = SimpleNamespace(joint="…", subject="…", about="…")
     for effect in EFFECTS:
-        yield effect.cause(fit, column, 0.0)  # type: ignore[arg-type]
+        cause = effect.cause(fit, column, 0.0)  # type: ignore[arg-type]
+        yield replace(cause, text=cause.text.replace("360", "…"))
 
 
 def by_kind(listed: Iterable[Finding]) -> dict[str, Finding]:

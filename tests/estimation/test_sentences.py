@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
@@ -17,6 +18,7 @@ from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.results.conclusions import not_separated
 from gtau.findings import Finding, Grade, finding_document, listed, percent, percents
+from gtau.model.home import load_robot
 
 ZERO = Finding("encoder zeros", ("left",), text="an error in the zero of encoder 'left'", advice="compare the zeros")
 
@@ -62,7 +64,9 @@ def test_currents_are_logged_for_gravity_in_their_own_name() -> None:
 
 
 def test_every_effect_says_what_it_is_and_what_to_do() -> None:
-    loaded = SimpleNamespace(kind="torque", system=SimpleNamespace(payloads=("steel",)))
+    system, dataset = SimpleNamespace(payloads=("steel",)), SimpleNamespace(robot=load_robot("five-bar"))
+    problem, waves = SimpleNamespace(joints=("left",)), np.array([[101.0]])
+    loaded = SimpleNamespace(kind="torque", system=system, dataset=dataset, problem=problem, waves=waves)
     for each in EFFECTS:
         column = SimpleNamespace(joint="left", subject="", about="run", plausible=1.0)
         cause = each.cause(loaded, column, 0.1)  # type: ignore[arg-type]

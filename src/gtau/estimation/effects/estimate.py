@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.effects.effect import EffectColumn, EstimatedEffect
+from gtau.estimation.effects.known.ripple import ripple_waves
 from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, Noise, fit_mixed
 from gtau.estimation.effects.rows import EffectRows, Layout, effect_rows, linear_at, run_modes, weights_of
 from gtau.estimation.estimators.estimator import Fit
@@ -130,6 +131,7 @@ def estimate_effects(fit: Fit) -> Mixed | None:
 
     Where they move a gain, they move the torques that their columns are made of: these are then made again.
     """
+    fit = replace(fit, waves=ripple_waves(fit))
     mixed, gains, gain_rows = effects_beside(fit), fit.gains, fit.system.problem.gain_rows
     for _ in range(REPEATS if fit.free_gains else 0):
         if mixed is None:

@@ -1,4 +1,4 @@
-"""A torque that repeats at the same positions: motor ripple, cables, springs that the model lacks.
+"""A torque that repeats at the same positions: cables, springs, slow ripple that the model lacks.
 
 Each joint may have any function of its own position, piecewise linear over its range in all runs.
 """
@@ -20,7 +20,7 @@ def _torques(at: FitWindow) -> Torques:
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    what = f"a torque of '{column.joint}' that repeats at the same positions (motor ripple, cables or a spring)"
+    what = f"a torque of '{column.joint}' that repeats at the same positions (cables, a spring or slow ripple)"
     return what, (
         "use other paths in the loaded and unloaded runs; describe a spring or balancer in the robot file "
         "('stiffness: true' of the joint, or a spring between two points)"
