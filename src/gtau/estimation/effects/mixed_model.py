@@ -33,6 +33,7 @@ ROUNDING = 1e-9  # of the squares of a column, which products of rows without no
 # Sizes below exp(SMALL) begin once more, at exp(LOW), where that would raise the likelihood by more than WORTH, to
 # first order. Else eight random starts of a foot on a force plate end 0 to 7 below the best, and with it within 0.02.
 SMALL, LOW, WORTH = -4.6, -3.0, 1.0
+LITTLE = 3.0  # log-likelihood lost without an effect: of less, nothing is asked
 PASSES, SETTLED = 5, 0.03  # of noise and effects in turn, until no standard deviation of the noise changes by more
 LARGEST_CORRELATION = 0.98  # partial autocorrelation that is believed
 LEAST_STD = 1e-3  # of the noise, in standard deviations of the fit: a channel without a signal has none
@@ -344,9 +345,16 @@ class MixedFit:
         return mean, covariance * np.sqrt(np.outer(factor, factor)) + spread
 
     def lost_without(self, groups: Sequence[int]) -> float:
-        """Compute the log-likelihood that is lost without some groups, the sizes of the others being found again."""
-        log_s = find_sizes(self.model, self.log_s, groups).log_s
-        return posterior(self.model, log_s, eliminated=True).loss - self.at.loss
+        """Compute the log-likelihood that is lost without some groups, the sizes of the others being found again.
+
+        Where ``LITTLE`` is lost with the others as they are, that bound on it.
+        """
+        log_s = self.log_s.copy()
+        log_s[list(groups)] = BOUNDS[0] - 5.0
+        if (bound := posterior(self.model, log_s, eliminated=True).loss - self.at.loss) > LITTLE:
+            log_s = find_sizes(self.model, self.log_s, groups).log_s
+            bound = posterior(self.model, log_s, eliminated=True).loss - self.at.loss
+        return bound
 
 
 def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()) -> MixedFit:
