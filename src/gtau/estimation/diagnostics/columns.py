@@ -132,10 +132,11 @@ def _scale_profile(fit: Fit, j: int) -> tuple[float, float]:
     return float(SCALES[np.argmin(losses)]), float(losses.min())
 
 
-def other_columns(fit: Fit, beside: bool, progress: Progress) -> EstimatedEffect | None:
+def other_columns(fit: Fit, beside: bool, left: float, progress: Progress) -> EstimatedEffect | None:
     """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged.
 
-    With effects ``beside`` them, or without where the user's description has impossible parameters.
+    With effects ``beside`` them, or without where the user's description has impossible parameters. None where all
+    leave more of the residuals than ``LEFT``, and than the part that is ``left`` by another description.
     """
     if (unaltered := at_middle(fit)) is None:
         return None
@@ -145,7 +146,7 @@ def other_columns(fit: Fit, beside: bool, progress: Progress) -> EstimatedEffect
         return refitted(unaltered, dataset=fit.dataset.reduced(along=along))
 
     tried = [(cause, partial(read, *reading)) for cause, *reading in _readings(fit)]
-    return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress, beside)
+    return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress, beside, max(left, LEFT))
 
 
 def _likeliest(
@@ -154,8 +155,9 @@ def _likeliest(
     stage: str,
     progress: Progress,
     beside: bool = True,
+    most: float = LEFT,
 ) -> EstimatedEffect | None:
-    """Fit with other descriptions, and return the one that leaves least of the residuals; None where all leave much.
+    """Fit with other descriptions, and return the one that leaves least of the residuals, ``most`` of them at most.
 
     Of those that leave as much, mirror images, the one with the fewest negative gains.
     """
@@ -167,7 +169,7 @@ def _likeliest(
                 fits.append((residual_ratio(other, unaltered), cause, other))
     progress(stage, len(tried), len(tried))
     least = min((ratio for ratio, *_ in fits), default=1.0)
-    if least >= LEFT:
+    if least >= most:
         return None
     alike = [(cause, other) for ratio, cause, other in fits if ratio <= ALIKE * least]
     cause, other = min(alike, key=lambda described: np.sum(described[1].gains < 0))
