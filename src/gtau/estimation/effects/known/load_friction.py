@@ -3,7 +3,7 @@
 The load is the model's, without friction, as in the term ``fl``: the measured current is the friction itself where
 friction exceeds the load, so it would explain the noise of the current and any drive gain. A gear does not
 transmit the torque of its rotor, which is in the load of ``fl``: it goes with the first column, and with further ones,
-of rotors of several inertias, where base parameters regroup the rotor with the links, or the data do not tell it.
+of rotors of several inertias, where base parameters regroup the rotor with the links, or the data do not determine it.
 """
 
 from __future__ import annotations
