@@ -1,4 +1,4 @@
-"""A torque that repeats at the same positions: cables, springs, slow ripple that the model lacks.
+"""A torque that repeats at the same positions: cables, springs, slow ripple.
 
 Each joint may have any function of its own position, piecewise linear over its range in all runs.
 """

@@ -1,8 +1,8 @@
-"""Ripple of gears and motors: torques that repeat many times over the range of a joint.
+"""Ripple of gears and motors.
 
-Each joint has sines of its position, of the wave numbers that stand out in what the plain fit lacks. In measured logs
-of ten robots these are the turns of the motor and twice as many: 101 and 202 a turn of a UR10e's joints, 120 and 240 of
-a Panda's, 160 and 320 of an xMate's, with 0.5 to 20 % of the torque.
+It repeats many times over the range of a joint. Each joint has sines of its position, of the wave numbers that stand
+out in what the plain fit lacks. In measured logs of ten robots these are the turns of the motor and twice as many: 101
+and 202 a turn of a UR10e's joints, 120 and 240 of a Panda's, 160 and 320 of an xMate's, with 0.5 to 20 % of the torque.
 """
 
 from __future__ import annotations
