@@ -1,7 +1,7 @@
 """Viscous and Coulomb friction that change along a run, as joints warm up.
 
-The change is a parabola in time, as warm-up is exponential: with a linear one gains of arms that warm by 5 to 12 % were
-0.40 % off (rms; now 0.28), of the unloaded arm of a robot with two up to 1.7 % (now 0.9).
+The change is a parabola in time, as warm-up is exponential: with a linear one gains of two arms whose friction falls by
+5 % were 0.40 % off (rms of 40; now 0.27), of the unloaded arm of a robot with two up to 1.7 % (now 0.9).
 """
 
 from __future__ import annotations
