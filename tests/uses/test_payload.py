@@ -116,6 +116,15 @@ def test_an_undeclared_load_of_a_validation_run_is_named(
     assert (high - low) / 2 < 0.1
 
 
+@pytest.mark.parametrize(("factor", "times"), [(1000.0, "a thousand times"), (0.001, "a thousandth of"), (30.0, "")])
+def test_a_validation_run_in_another_unit_is_named(model: Result, factor: float, times: str) -> None:
+    run = Plant(noise=0.01).run("check", seed=7)
+    scaled = replace(run, command=factor * run.command)
+    found = undeclared_load(model, scaled, model.validate(scaled), silent)
+    named = f"all currents are about {times} what the model predicts"
+    assert (named in str(found)) == bool(times)
+
+
 def test_a_validation_run_too_short_to_name_a_load_is_predicted_all_the_same(model: Result) -> None:
     run = Plant(noise=0.01).run("check", payload=LEAD, seed=7)
     short = Run("short", run.joints, run.time[:200], run.position[:200], run.command[:200])
