@@ -16,7 +16,7 @@ from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
-from gtau.signals.run import Run
+from gtau.signals.run import Run, read_run
 
 UR10E = load_robot("ur10e")
 
@@ -118,3 +118,15 @@ def test_joints_that_another_description_explains_are_judged_by_it() -> None:
     wrong = [gain.verdict for gain in gains.values() if gain.verdict.outcome == Grade.CONTRADICTORY]
     assert len(wrong) > 1
     assert all(verdict.text.startswith("the other sign of the position of 'elbow_joint'") for verdict in wrong)
+
+
+@pytest.mark.slow
+def test_a_zero_that_explains_more_than_another_unit_is_named(shared: Path) -> None:
+    """Of a Med 7, whose last joints are noisy: torques of A5 8 times as large leave more of the residuals."""
+    folder, joints = shared / "kuka_med7", [f"A{k}" for k in range(1, 8)]
+    kinds = {"position": "q", "torque": "tau"}
+    signals = {kind: {joint: f"{name}_{k}" for k, joint in enumerate(joints)} for kind, name in kinds.items()}
+    run = read_run(folder / "measurements.csv", {"time": {"rate": 100}, **signals})
+    turned = replace(run, position=run.position + np.where(np.array(joints) == "A4", np.pi / 2, 0.0))
+    result = identify(load_robot(str(folder / "med7dock.urdf")), [turned])
+    assert causes(result)["an error of -90 deg in the zero of encoder 'A4'"] == ("A4",)
