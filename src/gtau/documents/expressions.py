@@ -173,9 +173,6 @@ def _number(value: Any) -> Any:
     return float(value.coef[0])
 
 
-# Xacro files
-
-
 def _of_numbers(operation: Callable[..., Any]) -> Callable[..., Any]:
     """Restrict an operation to numbers of a size; of texts and lists it could fill the memory."""
 

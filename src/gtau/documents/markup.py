@@ -189,8 +189,6 @@ def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
     return str(yaml.dump(data, Dumper=_Dumper, **options))
 
 
-# XML
-
 XML_BYTES = 1 << 24
 XML_DEPTH = 200
 PREFIX = re.compile(rb"(</?|\s)(?!xmlns:)([A-Za-z_][\w.-]*):(?=[\w.-]+(?:[\s/>]|\s*=\s*[\"']))")

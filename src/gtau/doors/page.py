@@ -130,8 +130,6 @@ class Cards:
         box.on_multi_upload(received)
         box.on_rejected(rejected)
 
-    # Robot
-
     def robot(self) -> None:
         """Choose a robot, and look at it."""
         with self.card("1  Robot"):
@@ -150,8 +148,6 @@ class Cards:
                 ui.label(f"{loaded.name}: {len(loaded.actuated)} driven joints ({driven})").classes("soft")
                 for note in loaded.file.notes:
                     ui.label(note).classes("soft")
-
-    # Logs
 
     def logs(self) -> None:
         """Show the logs with the roles of their columns, payloads and findings."""
@@ -269,8 +265,6 @@ class Cards:
                 for setting in settings_in(finding["action"] or ""):
                     self.button(f"Set {setting}", partial(self.project.apply, setting))
 
-    # Identify
-
     def identify(self) -> None:
         """Identify, and show the report."""
         project = self.project
@@ -283,8 +277,6 @@ class Cards:
             self.button("Identify", lambda: self.command(*arguments, *["--consistent"] * consistent.value))
             refusal_of(project.answers.get("identify"))
             report(project.folder, "result")
-
-    # Then
 
     def then(self) -> None:
         """Weigh, validate, export, and design the next motion."""

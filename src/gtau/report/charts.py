@@ -57,9 +57,6 @@ def palette() -> Mapping[str, Any]:
     return colours
 
 
-# Figures
-
-
 class ShownFigure(Figure):
     """A figure that pyplot does not know; a notebook shows it where a cell ends with it."""
 
@@ -113,9 +110,6 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     with styled():
         figure.savefig(content, format=kind, metadata={"Software": None} if kind == "png" else {"CreationDate": None})
     write_atomically(path, content.getvalue())
-
-
-# Panels and sketches on axes
 
 
 def _draw(axes: Axes, panel: Panel, last: bool = True) -> None:

@@ -135,9 +135,6 @@ def _whole_mass(result: IdentifiedModel) -> Text | None:
     return Text(f"mass of the whole robot ({mass.name}): {mass.value:.4g} ± {half:.2g} kg")
 
 
-# Sources of the scale
-
-
 def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
     """Name the sources of the scale, joint by joint if they differ; None if the gains were given."""
     if short:
@@ -177,9 +174,6 @@ def all_sources(result: IdentifiedModel) -> str:
             names = {source: words for source, words in names.items() if source not in joints}
         names |= {source: f"the {source}" for source in joints if source in names}
     return " and ".join([*together, *names.values()])
-
-
-# Payloads
 
 
 def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads") -> Section | None:

@@ -204,9 +204,6 @@ def spec_of(panel: Panel, arrays: Arrays, group: str, last: bool) -> dict[str, A
     return spec
 
 
-# A page as report.html, with its provenance
-
-
 def write_report(
     page: Page, folder: Path, seconds: float, inputs: Inputs = (), settings: Mapping[str, str] | None = None
 ) -> Path:

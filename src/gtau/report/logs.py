@@ -155,9 +155,6 @@ def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = Tru
     return (("experiment", path), *((("robot", robot),) if robot.exists() else ()), *logs)
 
 
-# The check of an experiment
-
-
 def check_document(checked: CheckedExperiment) -> dict[str, Any]:
     """Describe the check as a JSON document in SI units."""
     preparation = checked.preparation

@@ -82,9 +82,6 @@ def _reference(result: IdentifiedModel) -> Text | None:
     return Text(f"fvt, fst: viscous and Coulomb friction {per}")
 
 
-# Friction
-
-
 def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section | None:
     """Show the friction of each joint, with curves if ``runs`` are given; None if only the plain law was fitted."""
     if not result.curves:
@@ -143,9 +140,6 @@ def friction_chart(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Char
     return Chart(tuple(panels), columns=2)
 
 
-# Inertias in the robot file
-
-
 def inertias_section(audit: InertiaAudit | None) -> Section | None:
     """Show how well the inertias in the robot file predict, and which of them the data contradict."""
     if audit is None:
@@ -202,9 +196,6 @@ def _audit_points(audit: InertiaAudit) -> list[str]:
             f"better than +-100 % of the link: {listed}"
         )
     return points
-
-
-# Correlations, singular values and effects
 
 
 def correlation_of(result: IdentifiedModel) -> tuple[tuple[Parameter, ...], np.ndarray]:

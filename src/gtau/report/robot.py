@@ -189,9 +189,6 @@ def _loops(model: InverseDynamics) -> Section | None:
     return Section("Loops", Text(words, tuple(equations)), id="loops")
 
 
-# Logged poses and the geometry
-
-
 def geometry_section(test: GeometryTest | None) -> Section | None:
     """Show residuals of the logged pose, and the constants that would explain them."""
     if test is None:
@@ -253,9 +250,6 @@ def _constants(test: GeometryTest) -> Table:
         (Column("unit"), lambda constant: f"m{constant.unit}"),
         (Column("explains", Kind.NUMBER), lambda constant: percent(constant.share)),
     )
-
-
-# Motion and singular poses
 
 
 def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:

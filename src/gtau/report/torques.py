@@ -267,9 +267,6 @@ def stretches(time: np.ndarray, masked: np.ndarray) -> np.ndarray:
     return np.column_stack([starts, stops]).reshape(-1).astype(float)
 
 
-# Residuals
-
-
 def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
     """Show the residuals of each joint over all runs used."""
     used = [run for run in runs if run.used and run.prediction is not None]

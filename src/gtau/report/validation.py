@@ -92,9 +92,6 @@ def write_torques(runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
     return written
 
 
-# Payloads
-
-
 def weighing_page(
     result: IdentifiedModel,
     payloads: Sequence[PayloadEstimate],

@@ -191,8 +191,6 @@ def _in_bands(frequency: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, n
     return centre, (held[stop] - held[first]) / (stop - first)
 
 
-# Choice of the position filter and of the decimation
-
 KEPT = 0.85  # of the samples: decimation widens what is left out around a reversal by two rows
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves if the logs have them
 ABOVE_ROWS = 2.0  # least cut-off of the positions over the cut-off of the decimated rows
