@@ -69,7 +69,9 @@ def serve(folder: Path, port: int, show: bool) -> None:
         from gtau.doors.project import Project
 
     folder_of(folder)
-    port = port or _free_port()
+    if not port:
+        with socket.create_server((HOST, 0)) as probe:
+            port = int(probe.getsockname()[1])
     token, project = secrets.token_urlsafe(24), Project(folder.resolve())
     app.add_middleware(Guard, token=token, port=port, largest=LARGEST)
 
@@ -100,9 +102,3 @@ def serve(folder: Path, port: int, show: bool) -> None:
         )
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"the page is closed, and {folder} holds all that it wrote") from None
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
