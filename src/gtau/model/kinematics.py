@@ -18,7 +18,7 @@ import numpy as np
 
 from gtau.robots.geometry import characteristic_length, moved_ends
 from gtau.robots.placement import pose_of
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Platform, Pose, Robot
+from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Placement, Platform, Pose, Robot
 
 SAME_LENGTH = 1e-6  # relative difference of lengths intended to be equal
 
@@ -219,21 +219,17 @@ def _rotation_of(quaternion: ca.SX) -> ca.SX:
     )
 
 
-def _moved(joint: Joint, q: ca.SX) -> tuple[ca.SX, Vector]:
-    rotation, position = placed(joint.placement)
-    axis = np.array(joint.axis)
-    if joint.kind == "prismatic":
-        return rotation, position + rotation @ constant(axis) * q
-    return rotation @ turned(axis, q), position
-
-
 def frames(layout: Coordinates, c: ca.SX) -> dict[str, Frame]:
     """Express the pose of every body at configuration ``c`` (n_c,)."""
     origin, axes = constant(np.zeros(3)), constant(np.eye(3))
     poses = {GROUND: Frame(axes, origin, axes, origin)}
     for k, joint in enumerate(layout.robot.joints):
-        before = poses[joint.antecedent]
-        R, p = _moved(joint, c[k])
+        before, axis = poses[joint.antecedent], np.array(joint.axis)
+        R, p = placed(joint.placement)
+        if joint.turns:
+            R = R @ turned(axis, c[k])
+        else:
+            p = p + R @ constant(axis) * c[k]
         poses[joint.name] = Frame(R, p, before.R_0 @ R, before.p_0 + before.R_0 @ p)
     for slots in layout.platforms:
         p = c[slots.position]
