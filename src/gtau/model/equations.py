@@ -83,7 +83,7 @@ def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
     return c
 
 
-def _scaled(layout: Coordinates, velocity: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
+def scaled(layout: Coordinates, velocity: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Differentiate by the scaled passive coordinates, all pure numbers, and by the actuated ones."""
     G, passive = ca.jacobian(velocity, yd), layout.passive
     return G[:, passive.tolist()] @ constant(np.diag(layout.unit[passive])), G[:, layout.actuated.tolist()]
@@ -94,7 +94,7 @@ def newton_step(layout: Coordinates) -> tuple[ca.SX, list[ca.SX]]:
     given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
     c = _on_unit_quaternions(layout, given)
     residual, velocity, _ = closure_expressions(layout, c, yd)
-    correction, condition = solve(_scaled(layout, velocity, yd)[0], -residual, refine=False)
+    correction, condition = solve(scaled(layout, velocity, yd)[0], -residual, refine=False)
     step = ca.SX(layout.n_y, 1)
     step[layout.passive.tolist()] = correction * layout.unit[layout.passive]
     moved = _on_unit_quaternions(layout, c + configuration_rates(layout, c, step))
@@ -108,7 +108,7 @@ def closed_motion(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
     passive = layout.passive.tolist()
     unit = layout.unit[layout.passive]
     _, velocity, gamma = closure_expressions(layout, _on_unit_quaternions(layout, given), yd)
-    G_p, G_a = _scaled(layout, velocity, yd)
+    G_p, G_a = scaled(layout, velocity, yd)
     qd = ca.SX.sym("qd", len(actuated))
     qdd = ca.SX.sym("qdd", len(actuated))
     J = ca.SX(layout.n_y, len(actuated))

@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from gtau.model.equations import closed_motion, closure_expressions, newton_step
+from gtau.model.equations import closed_motion, closure_expressions, newton_step, scaled
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import SAME_LENGTH, Coordinates, constant, frames, placements, shifted, twists
 from gtau.model.loops import Motion
@@ -116,12 +116,10 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     residual, velocity, _ = closure_expressions(varied, c, yd)
     frame = frames(varied, c)
     twist, at = twists(varied, frame, yd)[body], frame[body]
-    G = ca.jacobian(velocity, yd)
-    G_p = G[:, layout.passive.tolist()] @ constant(np.diag(layout.unit[layout.passive]))
+    G_p, G_a = scaled(layout, velocity, yd)
     J = ca.jacobian(ca.vertcat(at.R_0 @ twist.linear, at.R_0 @ twist.angular), yd)
     J_s = ca.vertcat(ca.jacobian(at.p_0, s), ca.SX(3, s.numel()))
-    G_a, G_s = G[:, layout.actuated.tolist()], ca.jacobian(residual, s)
-    outputs = [output.T for output in (G_p, G_a, G_s, at.p_0.T, at.R_0, J, J_s)]
+    outputs = [output.T for output in (G_p, G_a, ca.jacobian(residual, s), at.p_0.T, at.R_0, J, J_s)]
     shifts = np.zeros((s.numel(), len(lengths) + len(zeros)))
     for k, length in enumerate(lengths):
         for place, direction in length.directions:
