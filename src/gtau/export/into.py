@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.documents.files import identifier
 from gtau.documents.markup import read_xml
-from gtau.errors import GtauError
+from gtau.errors import GtauError, errors_at
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export import mjcf, urdf
 from gtau.export.consistent import ConsistentModel, consistent_model, differences
@@ -93,10 +93,8 @@ def input_file(path: Path, robot: Robot) -> InputFile:
     """Read the file of ``robot`` for edits; raises GtauError if it is unreadable or describes another robot."""
     if problem := _difference(load_robot(path), robot):
         raise GtauError(f"{path} is not the file of the model's robot '{robot.name}': {problem}; give its own file.")
-    try:
+    with errors_at(path):
         root = read_xml(path)  # safe: no entities, no document types
-    except GtauError as error:
-        raise GtauError(f"{path}: {error}") from None
     content = path.read_bytes()
     if b"\0" in content:
         raise GtauError(f"{path} is UTF-16 text, which cannot be edited in place; save it as UTF-8.")
