@@ -145,11 +145,6 @@ class Instruction:
         return [*self.arguments, *(value for _, value in self.terms), *factors]
 
     @property
-    def signs(self) -> list[float]:
-        """Signs of terms and products."""
-        return [sign for sign, *_ in (*self.terms, *self.products)]
-
-    @property
     def number(self) -> int:
         """Operation code."""
         if self.operation:
@@ -183,7 +178,8 @@ def _program(function: ca.Function, parameters: int) -> Program:
         rows = [row[value] for value in (*instruction.operands, *second)]
         line[:3] = instruction.number, row[result], written.get(result, NOWHERE)
         line[3 : 3 + len(rows)] = rows
-        sign[: len(instruction.signs)] = instruction.signs
+        signed = (*instruction.terms, *instruction.products)
+        sign[: len(signed)] = [value for value, *_ in signed]
     values, fixed_values = ([constants[value] for value in some] for some in (used, (outputs[k] for k in fixed)))
     constant_outputs = np.array(fixed, dtype=int), np.array(fixed_values)
     return Program(code, signs, np.array(values), parameters, registers, inputs, len(outputs), constant_outputs)
