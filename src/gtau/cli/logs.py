@@ -133,7 +133,6 @@ def init(
 
 
 def _page(out: Path, open_: list[str]) -> str:
-    """Show what was drafted, and what to confirm."""
     from gtau.signals.reading.drafting import SEAL
 
     lines = [out.read_text(encoding="utf-8").rpartition(SEAL)[0].partition("\n\n")[2], f"written: {out}"]

@@ -189,7 +189,6 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
 
 
 def _fleet(folder: Path, as_json: bool) -> None:
-    """Write one page for all histories in a folder."""
     from gtau.report.html import write_report
     from gtau.report.watch import STATES, fleet_lines, fleet_page
     from gtau.watch.history import HISTORY

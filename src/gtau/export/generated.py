@@ -209,7 +209,6 @@ def _matlab_kernel(function: ca.Function, name: str) -> str:
 
 
 def _document(fields: dict[str, Any]) -> dict[str, object]:
-    """Describe the model for the script of the FMU."""
     model, made = fields["model"], fields["made"]
     ends = suffixes(model.joints)
     joints = [

@@ -102,7 +102,6 @@ def input_file(path: Path, robot: Robot) -> InputFile:
 
 
 def _spans(content: bytes) -> list[Span]:
-    """Find the spans of all elements in document order."""
     parser = ParserCreate()
     spans: dict[int, Span] = {}  # by where the elements begin
     inside: list[int] = []
@@ -131,7 +130,6 @@ def _tag_end(content: bytes, start: int) -> int:
 
 
 def _difference(file_robot: Robot, robot: Robot) -> str:
-    """Describe the difference between two robots' bodies, if any."""
     if file_robot.bodies != robot.bodies:
         missing = [name for name in robot.bodies if name not in file_robot.bodies]
         return f"'{missing[0]}' is missing there" if missing else f"it has {len(file_robot.bodies)} bodies"

@@ -194,7 +194,6 @@ def _at(robot: Robot, layout: Coordinates, c: np.ndarray) -> Robot:
 
 
 def _displacements(errors: LoopErrors, given: np.ndarray, home: np.ndarray) -> str:
-    """List the displacements of joints and platforms, the largest first."""
     layout, apart = errors.layout, errors.apart(given, home)
     parts = []
     for k, joint in enumerate(layout.robot.joints):

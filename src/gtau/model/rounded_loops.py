@@ -118,7 +118,6 @@ def _replaced(robot: Robot, placements: Mapping[str, Placement]) -> Robot:
 
 
 def _numbers(placement: Placement) -> tuple[float, ...]:
-    """List the six numbers of a placement, lengths and angles."""
     return astuple(placement) if isinstance(placement, Mdh) else (*placement.xyz, *placement.rpy)
 
 

@@ -56,7 +56,6 @@ def findings_table(notes: Sequence[Finding]) -> Table:
 
 
 def _where(note: Finding) -> str:
-    """Describe joint, time and share of samples of a finding, as far as known."""
     share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
     time = None if note.time is None else moment(note.time, 4)
     return ", ".join(part for part in (note.joint and joint_label(note.joint), time, share) if part)

@@ -174,7 +174,6 @@ def _limits(joint: Joint) -> str:
 
 
 def _loops(model: InverseDynamics) -> Section | None:
-    """List closures and couplings; None for a robot without loops."""
     robot, loops = model.robot, model.loops
     if loops is None or not loops.rows:
         return None

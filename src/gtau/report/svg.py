@@ -133,7 +133,6 @@ def _page(parts: Iterable[str], width: float, height: float, label: str) -> str:
 
 
 def _scales(panel: Panel, across: tuple[float, float], up: tuple[float, float]) -> tuple[Scale, Scale]:
-    """Fit scales to all that a panel shows."""
     x, y = [np.zeros(0)], [np.zeros(0)]
     for series in panel.series:
         half = np.zeros(1) if series.half is None else np.array([[-1.0], [1.0]]) * series.half
@@ -152,7 +151,6 @@ def _scales(panel: Panel, across: tuple[float, float], up: tuple[float, float]) 
 
 
 def _grid(panel: Panel, x: Scale, y: Scale, upright: bool) -> Iterator[str]:
-    """Draw lines, numbers and names of both axes."""
     below = max(y.start, y.stop)
     for scale in (x, y):
         size = size_of_names(scale.axis) if scale.axis.names else SIZE
@@ -173,7 +171,6 @@ def _grid(panel: Panel, x: Scale, y: Scale, upright: bool) -> Iterator[str]:
 
 
 def _drawn(panel: Panel, x: Scale, y: Scale) -> Iterator[str]:
-    """Draw what is within the axes."""
     if panel.matrix is not None:
         yield from _matrix(panel.matrix, x, y)
     if panel.band is not None:

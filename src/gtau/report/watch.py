@@ -103,7 +103,6 @@ def watch_page(watch: Watch) -> Page:
 
 
 def _shown(quantity: Quantity) -> tuple[str, str, float]:
-    """Return name, displayed unit and factor of a quantity."""
     return quantity.title, *SHOWN.get(quantity.unit, (quantity.unit, 1.0))
 
 

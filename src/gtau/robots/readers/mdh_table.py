@@ -119,7 +119,6 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def _constants(lines: list[tuple[int, list[str]]]) -> tuple[dict[str, float], list[str]]:
-    """Remove the constants and the header from `lines`."""
     constants: dict[str, float] = {}
     while lines:
         number, cells = lines.pop(0)

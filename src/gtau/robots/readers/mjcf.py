@@ -193,7 +193,6 @@ class _Bodies:
 
 
 def _bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> _Bodies:
-    """Read the tree of a compiled model with its home at ``qpos``."""
     bodies = _Bodies()
     carriers = set[int]()  # ancestors of bodies with joints
     for body in map(int, model.jnt_bodyid):

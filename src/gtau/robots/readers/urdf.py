@@ -277,7 +277,6 @@ def _sides_in_gazebo(tree: UrdfTree, joint: Element, what: str) -> list[Attachme
 
 
 def _bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
-    """Read the mass and inertia of each link that states them."""
     for link in root.findall("link"):
         if (inertial := link.find("inertial")) is not None:
             yield link.get("name", ""), _body(link.get("name", ""), inertial)
