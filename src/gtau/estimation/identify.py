@@ -156,7 +156,8 @@ def estimate(
     audit = None
     if dataset.robot.inertias:
         undeclared = TOOL_BODIES in {effect.effect for effect in examined.effects}
-        bare, audit = audit_inertias(plain, estimates, undeclared or bool(fit.system.always_carried))
+        compared, audit = audit_inertias(fit, estimates, undeclared or bool(fit.system.always_carried))
+        bare = plain if compared is fit else compared
     references = (*sensor_contradictions(scales, plain, accuracy), *contradictory_voltages(plain, accuracy))
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy, references)
     bodies, lost = _consistent_bodies(fit, plain, np.sqrt(np.diag(estimates.covariance)), options)

@@ -24,6 +24,7 @@ from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import INERTIAL
 
 INERTIA_CHANCE = 0.05  # chance that a correct file has any base parameter contradicted, all tests together
+FILE_WORSE = 1.1  # torque error by the file over the error by the data, from which links are named
 INERTIA_EXPLAINED = 0.95  # share of the torque variance added by the file: links that explain it suffice
 ROUNDING = 1e-9  # of a column of unit norm: less is rounding
 
@@ -69,7 +70,7 @@ class InertiaAudit:
 
     ``stated`` and ``identified`` are the torque errors of each joint with the file's inertias and with the identified
     ones, per cent of its rms torque, over the rows used; ``parameters`` all base parameters that regroup inertias.
-    ``links`` explain why the file predicts worse, the first explains most; none where nothing is contradicted.
+    ``links`` explain why the file predicts worse, the first explains most; none where it hardly does, or agrees.
     ``prior`` is the relative standard deviation of the file's inertias where they were priors, else 0.
     """
 
@@ -151,8 +152,10 @@ def audit_inertias(fit: Fit, estimates: Estimates, loaded: bool) -> tuple[Fit | 
     wrong = any(parameter.standing == "contradicted" for parameter in parameters)
     if bare is None and not wrong:
         return None, None
-    links = tuple(_links(fit, identified, file)) if wrong else ()
-    return bare, InertiaAudit(_errors(fit, file), _errors(fit, identified), parameters, links, prior)
+    by_file, by_data = _errors(fit, file), _errors(fit, identified)
+    worse = _rms(by_file) > FILE_WORSE * _rms(by_data)
+    links = tuple(_links(fit, identified, file)) if wrong and worse else ()
+    return bare, InertiaAudit(by_file, by_data, parameters, links, prior)
 
 
 def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
