@@ -160,7 +160,7 @@ def effects() -> Iterator[Finding]:
     column = SimpleNamespace(joint="…", subject="…", about="…")
     for effect in EFFECTS:
         cause = effect.cause(fit, column, 0.0)  # type: ignore[arg-type]
-        yield replace(cause, text=cause.text.replace("360", "…"))
+        yield replace(cause, text=cause.text.replace("360", "…"))  # deg, the period of the wave above
 
 
 def by_kind(listed: Iterable[Finding]) -> dict[str, Finding]:

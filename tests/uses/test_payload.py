@@ -28,6 +28,7 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload, as_payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
+from gtau.uses.prediction import other_unit
 from gtau.uses.weigh import exact_gains, undeclared_load, weigh
 
 MASS_STD = 0.06  # 5 % of the known payload
@@ -120,7 +121,7 @@ def test_an_undeclared_load_of_a_validation_run_is_named(
 def test_a_validation_run_in_another_unit_is_named(model: Result, factor: float, times: str) -> None:
     run = Plant(noise=0.01).run("check", seed=7)
     scaled = replace(run, command=factor * run.command)
-    found = undeclared_load(model, scaled, model.validate(scaled), silent)
+    found = other_unit(scaled, model.validate(scaled))
     named = f"all currents are about {times} what the model predicts"
     assert (named in str(found)) == bool(times)
 

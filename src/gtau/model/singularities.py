@@ -26,12 +26,18 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import constant, frames, twists
 from gtau.model.loops import CONDITION, Motion, advance, differentiate, joined
 from gtau.model.program import compile_program
+from gtau.robots.robot import Joint
 
 FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home
 ENOUGH = 500  # poses that show the share
 MOVED = 0.1  # of the way from home to a pose: one that stops earlier adds no information to home
 SMALLEST = 2.0**-8  # share of the range about home in which poses are drawn
 REGULAR = CONDITION / 10  # condition number of regular poses
+
+
+def _range(joint: Joint, length: float) -> tuple[float, float]:
+    reach = np.pi if joint.turns else length
+    return joint.limits.position or (joint.home - reach, joint.home + reach)
 
 
 def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, condition: float = REGULAR) -> Motion:
@@ -44,9 +50,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
     length = idm.layout.length if idm.loops else 1.0
-    reaches = np.array([np.pi if joint.turns else length for joint in joints])
-    around = ((joint.home - reach, joint.home + reach) for joint, reach in zip(joints, reaches, strict=True))
-    bounds = np.array([joint.limits.position or limits for joint, limits in zip(joints, around, strict=True)])
+    bounds = np.array([_range(joint, length) for joint in joints])
     home = np.clip(idm.home[idm.layout.actuated], *bounds.T)[:, None]
     speed = np.array([joint.limits.velocity or 3.0 for joint in joints]) / 3
     push = np.array([joint.limits.acceleration or 30.0 for joint in joints]) / 3

@@ -18,7 +18,7 @@ from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text,
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.uses.external_torques import TorquesAlongLog
-from gtau.uses.prediction import Prediction, predict, torque_errors
+from gtau.uses.prediction import Prediction, other_unit, predict, torque_errors
 from gtau.uses.weigh import undeclared_load
 
 REVERSALS = (
@@ -99,7 +99,7 @@ def predicted(
     }
     prediction = predict(result, replace(run, **beginning) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
-    load = None if used or cut else undeclared_load(result, run, errors, progress)
+    load = None if used or cut else other_unit(run, errors) or undeclared_load(result, run, errors, progress)
     notes = (*((load,) if load else ()), *prediction.notes)
     return RunEvidence(run, used, prediction.rows, prediction if whole else None, errors, cut=cut, notes=notes)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, quoted, spelled
+from gtau.estimation.diagnostics.verdict import contradiction
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed, within_limits
@@ -36,6 +37,9 @@ from gtau.signals.storage import spans
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+THOUSAND = 500.0, 2000.0  # factors that a unit a thousand times larger explains, as predictions are a few per cent off
 
 
 @spelled(plot="gtau.plot(prediction)")
@@ -127,6 +131,18 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
         unit = prediction.units[j]
         errors.append(TorqueError(joint, rms, signal, unit, rms_all, signal_all, rms_raw, signal_raw, bands))
     return tuple(errors)
+
+
+def other_unit(run: Run, errors: Sequence[TorqueError]) -> Finding | None:
+    """Find that all torques of a run are a thousand times the predicted ones, or a thousandth, by their ``errors``."""
+    shares = [(error.rms_raw or 0.0) / (error.signal_raw or np.inf) for error in errors]  # |1 - 1 / factor| each
+    least, most = THOUSAND
+    larger = all(1 - 1 / least < share < 1 - 1 / most for share in shares)
+    if not shares or not (larger or all(least < 1 + share < most for share in shares)):
+        return None
+    text = f"all {run.kind}s are about {'a thousand times' if larger else 'a thousandth of'} what the model predicts"
+    advice = f"check the unit of the {run.kind}s ('units: {{{run.kind}: ...}}')"
+    return contradiction("other unit", (), text, advice, shown_as="unit")
 
 
 def _bands(time: np.ndarray, raw: np.ndarray, valid: np.ndarray, bandwidth: float) -> tuple[BandError, ...]:

@@ -13,7 +13,6 @@ from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import other_loads
 from gtau.estimation.diagnostics.scale import scale_uncertainty
-from gtau.estimation.diagnostics.verdict import contradiction
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import fit_by, wls
@@ -246,22 +245,10 @@ def reference_of(model: IdentifiedModel, step: np.ndarray | float = 0.0) -> Refe
     return ReferenceModel(names, theta + slopes @ np.broadcast_to(step, len(gains)), covariance)
 
 
-def other_scale(error: TorqueError) -> float:
-    """Compute how large a joint's torque is in parts of the predicted one, if it differs from it by a factor."""
-    share = (error.rms_raw or 0.0) / (error.signal_raw or np.inf)
-    return 1 / abs(1 - share) if share < 1 else 1 / (1 + share)
-
-
 def undeclared_load(
     model: IdentifiedModel, run: Run, errors: Sequence[TorqueError], progress: Progress
 ) -> Finding | None:
-    """Find an undeclared body at the tool, or another unit, where ``errors`` of a run are ``WORSE`` than of the fit."""
-    factors = [other_scale(error) for error in errors]
-    for least, most, times in ((500, 2000, "a thousand times"), (1 / 2000, 1 / 500, "a thousandth of")):
-        if factors and all(least < factor < most for factor in factors):
-            text = f"all {run.kind}s are about {times} what the model predicts"
-            advice = f"check the unit of the {run.kind}s ('units: {{{run.kind}: ...}}')"
-            return contradiction("other unit", (), text, advice, shown_as="unit")
+    """Find an undeclared body at the tool if the ``errors`` of a run are ``WORSE`` than in identification."""
     usual = {residual.joint: residual.rms for residual in model.residuals if residual.rms}
     ratios = [error.rms / usual[error.joint] for error in errors if error.joint in usual and error.rms]
     if not ratios or np.mean(np.log(ratios)) < np.log(WORSE):
