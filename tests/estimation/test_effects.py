@@ -306,6 +306,35 @@ def test_presliding_is_found_and_gains_are_right() -> None:
     np.testing.assert_allclose(gains, GAINS, rtol=0.02)
 
 
+def test_friction_that_levels_off_as_a_joint_warms_up_moves_no_gain(runs: list[Run]) -> None:
+    """Coulomb friction that falls by 30 %; as a straight line in time it moves the gain by 0.2 %."""
+
+    def warm(run: Run) -> np.ndarray:
+        fallen = 0.3 * Plant().chi["fs_left"] / GAINS[0] * -np.expm1(-3 * run.time / run.time[-1])[:, None]
+        return run.command - fallen * np.sign(np.gradient(run.position, run.time, axis=0)) * [1, 0]
+
+    result, healthy = mixed(currents(runs, warm)), mixed(runs)
+    rows = result.rows.fit.system.problem.gain_rows
+    np.testing.assert_allclose(result.values[rows], healthy.values[rows], rtol=6e-4)
+
+
+@pytest.mark.parametrize("share", [1e-4, 0.1])
+def test_rotors_are_tried_in_load_friction_where_the_data_do_not_tell_them(share: float, tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    made, known = replace(plant(arm, noise=0.05), tool="j4"), Payload(name="load", mass=3.0)
+    fit = ML.fit(reduce_runs(arm, [made.run(1), made.run(1, {"m": 3.0}, known)]).system())
+    unit = rms_torques(fit) / fit.dataset.rms_accelerations
+    j, place = arm.actuated.index("j3"), fit.problem.unknowns.places[Parameter("ia", "j3")]
+    covariance = fit.solution.covariance.copy()
+    covariance[place, place] = (share * unit[j]) ** 2
+    fit = replace(fit, solution=replace(fit.solution, covariance=covariance))
+    effect = next(effect for effect in EFFECTS if effect.name == "load-dependent friction")
+    ((run, window), *_) = fit.dataset.windows()
+    columns = effect.torques(FitWindow(fit, run, window))(cast(Any, SimpleNamespace(outputs=slice(None))))
+    assert columns[j, :, 0].any()
+    assert columns[j, :, 1:].any() == (share > 0.02)
+
+
 def test_ripple_of_a_gear_has_its_period_and_moves_no_gain(runs: list[Run]) -> None:
     """Of 5 % of the current, 101 times a turn: without the effect it moves the left gain by 0.2 %."""
     size = 0.05 * runs[0].command.std(axis=0) * [1, 0]

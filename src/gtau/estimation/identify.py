@@ -12,9 +12,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import TOOL_BODIES
-from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose, estimates_of, examine
+from gtau.estimation.diagnostics.diagnose import Examination, channel_verdicts, diagnose, estimates_of, examine
 from gtau.estimation.diagnostics.gains import REFUTED
-from gtau.estimation.diagnostics.inertia_audit import audit_inertias
+from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, audit_inertias
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
     lack_of_fit,
@@ -152,12 +152,7 @@ def estimate(
     plain, fit = fit, moved or fit
     solve = fit.solve if as_paper else fit.solve_fixed
     essential, reduced, loss = essential_parameters(fit.problem, fit.dataset.base.names, solve, ratio, not as_paper)
-    bare: Fit | None = plain
-    audit = None
-    if dataset.robot.inertias:
-        undeclared = TOOL_BODIES in {effect.effect for effect in examined.effects}
-        compared, audit = audit_inertias(fit, estimates, undeclared or bool(fit.system.always_carried))
-        bare = plain if compared is fit else compared
+    bare, audit = _audited(plain, fit, estimates, examined)
     references = (*sensor_contradictions(scales, plain, accuracy), *contradictory_voltages(plain, accuracy))
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy, references)
     bodies, lost = _consistent_bodies(fit, plain, np.sqrt(np.diag(estimates.covariance)), options)
@@ -182,6 +177,17 @@ def estimate(
         audit=audit,
         motors=Named(motor_estimates(dataset, estimates)),
     )
+
+
+def _audited(
+    plain: Fit, fit: Fit, estimates: Estimates, examined: Examination
+) -> tuple[Fit | None, InertiaAudit | None]:
+    """Hold the robot file against the ``estimates`` of a fit; also return the ``plain`` one without its inertias."""
+    if not fit.dataset.robot.inertias:
+        return plain, None
+    undeclared = TOOL_BODIES in {effect.effect for effect in examined.effects}
+    bare, audit = audit_inertias(fit, estimates, undeclared or bool(fit.system.always_carried))
+    return plain if bare is fit else bare, audit
 
 
 def _consistent_bodies(

@@ -132,11 +132,11 @@ def _scale_profile(fit: Fit, j: int) -> tuple[float, float]:
     return float(SCALES[np.argmin(losses)]), float(losses.min())
 
 
-def other_columns(fit: Fit, beside: bool, left: float, progress: Progress) -> EstimatedEffect | None:
+def other_columns(fit: Fit, beside: bool, than: EstimatedEffect | None, progress: Progress) -> EstimatedEffect | None:
     """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged.
 
     With effects ``beside`` them, or without where the user's description has impossible parameters. None where all
-    leave more of the residuals than ``LEFT``, and than the part that is ``left`` by another description.
+    leave more of the residuals than ``LEFT``, and ``than`` another description leaves.
     """
     if (unaltered := at_middle(fit)) is None:
         return None
@@ -146,7 +146,8 @@ def other_columns(fit: Fit, beside: bool, left: float, progress: Progress) -> Es
         return refitted(unaltered, dataset=fit.dataset.reduced(along=along))
 
     tried = [(cause, partial(read, *reading)) for cause, *reading in _readings(fit)]
-    return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress, beside, max(left, LEFT))
+    most = max(LEFT, than.cause.values["remains"]) if than else LEFT
+    return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress, beside, most)
 
 
 def _likeliest(

@@ -125,9 +125,8 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             others = _other_descriptions(fit, wrong, lacking, missing, (*effects, *causes), progress)
             refit = _best_described(chain([loads, scaled], others))
             explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
-            left = refit.cause.values["remains"] if refit else 0.0
-            if left >= SURE if refit else wrong and not explained:
-                refit = _best_described([refit, columns.other_columns(fit, not alone, left, progress)])
+            if refit.cause.values["remains"] >= SURE if refit else wrong and not explained:
+                refit = _best_described([refit, columns.other_columns(fit, not alone, refit, progress)])
         if refit:
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
         elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):

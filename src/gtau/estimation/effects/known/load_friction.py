@@ -36,8 +36,8 @@ def _torques(at: FitWindow) -> Torques:
     stds = np.array([np.inf if k is None else np.sqrt(fit.solution.covariance[k, k]) for k in places])
     unknown = stds > UNKNOWN * unit
     # their torque is in the load, whether the links have it or not; of passive joints gears transmit the friction too
-    regrouped = set(compress(rotors, unknown))
-    in_load = [name in regrouped or (name.kind in PLAIN_FRICTION and name.body not in joints) for name in base]
+    unknown_rotors = set(compress(rotors, unknown))
+    in_load = [name in unknown_rotors or (name.kind in PLAIN_FRICTION and name.body not in joints) for name in base]
     load = at.torques_along(at.motion, at.transmitted + at.values * in_load).T
     of_term = at.torques_along(at.motion, fit.system.load(at.run, fit.solution.theta)).T
     rotor = samples.qdd * unit * unknown

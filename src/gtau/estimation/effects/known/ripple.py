@@ -1,8 +1,8 @@
 """Ripple of gears and motors.
 
 It repeats many times over the range of a joint. Each joint has sines of its position, of the wave numbers that stand
-out in what the plain fit lacks. In measured logs of ten robots these are the turns of the motor and twice as many: 101
-and 202 a turn of a UR10e's joints, 120 and 240 of a Panda's, 160 and 320 of an xMate's, with 0.5 to 20 % of the torque.
+out in what the plain fit lacks. In measured logs these are the turns of the motor and twice as many: 101 and 202 a turn
+of a UR10e's joints, 120 and 240 of a Panda's, 160 and 320 of an xMate 7's, with 0.5 to 28 % of the torque.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def ripple_waves(fit: Fit) -> np.ndarray:
 def _over_median(fit: Fit) -> np.ndarray:
     """Compute the power of waves along each joint's range over the median of those around, (n, frequencies).
 
-    In ``sum |qd| r exp(i w q)``, an integral along the path, counts little what a joint lacks where it is slow.
+    Integrated along the path, ``sum |qd| r exp(i w q)``, torques r that a joint lacks at low speed count for little.
     """
     (low, high), n = fit.dataset.travels, len(fit.gains)
     travel, gains, delays = np.where(high > low, high - low, 1.0), fit.gains[:, None], fit.solution.delays[:n, None]
@@ -50,7 +50,7 @@ def _over_median(fit: Fit) -> np.ndarray:
         speed = np.abs(samples.qd.T) + 1e-300
         lacking = gains * samples.command.T[:n] - FitWindow(fit, run, window).unmoved
         lacking = speed * (lacking - np.average(lacking, axis=1, weights=speed)[:, None])
-        at = (samples.q.T + delays * samples.qd.T - low[:, None]) / travel[:, None]  # currents lag behind positions
+        at = (samples.q.T + delays * samples.qd.T - low[:, None]) / travel[:, None]  # positions lag behind currents
         for total, part, bins in zip(lacks, lacking, np.clip(at * BINS, 0, BINS - 1).astype(int), strict=True):
             total += np.bincount(bins, part, minlength=BINS)
     power = np.abs(np.fft.rfft(lacks, FINE * BINS)[:, FINE * FEWEST : FINE * MOST]) ** 2
