@@ -153,7 +153,7 @@ def _estimate(
     judged = verdict or parameter_verdict(value, std or None)
     if not std or (name.kind == "delay" and judged.outcome == Grade.NOT_IDENTIFIABLE):
         return Estimate(called or name, value, None, unit, verdict=judged, freedom=freedom)
-    model_std = min(float(np.sqrt(max(vector.model[k, k], 0.0))), std)  # but for rounding
+    model_std = min(max(float(vector.model[k, k]), 0.0) ** 0.5, std)
     return Estimate(called or name, value, std, unit, verdict=judged, freedom=freedom, model_std=model_std)
 
 
@@ -163,7 +163,8 @@ def _numbers(vector: Estimates, name: Parameter) -> tuple[float | None, float | 
         return None, None, None
     k = vector.unknowns.places[name]
     freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
-    return float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])), freedom
+    variance = max(float(vector.covariance[k, k]), 0.0)  # but for rounding
+    return float(vector.values[k]), variance**0.5, freedom
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
