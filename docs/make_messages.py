@@ -17,8 +17,6 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
-
 from gtau.estimation.effects.known import EFFECTS
 from gtau.findings import VERDICTS, Finding, Grade
 
@@ -154,10 +152,8 @@ def effects() -> Iterator[Finding]:
     """Yield the causes of all effects, as they are named for a joint."""
     robot = SimpleNamespace(joint=lambda name: SimpleNamespace(turns=True))
     system = SimpleNamespace(payloads=("…",), joints=("…",))
-    fit = SimpleNamespace(
-        kind="current", system=system, problem=system, dataset=SimpleNamespace(robot=robot), waves=np.ones((1, 1))
-    )
-    column = SimpleNamespace(joint="…", subject="…", about="…")
+    fit = SimpleNamespace(kind="current", system=system, problem=system, dataset=SimpleNamespace(robot=robot))
+    column = SimpleNamespace(joint="…", subject="…", about="…", waves=(1.0,))
     for effect in EFFECTS:
         cause = effect.cause(fit, column, 0.0)  # type: ignore[arg-type]
         yield replace(cause, text=cause.text.replace("360", "…"))  # deg, the period of the wave above

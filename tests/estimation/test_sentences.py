@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
@@ -65,10 +64,10 @@ def test_currents_are_logged_for_gravity_in_their_own_name() -> None:
 
 def test_every_effect_says_what_it_is_and_what_to_do() -> None:
     system, dataset = SimpleNamespace(payloads=("steel",)), SimpleNamespace(robot=load_robot("five-bar"))
-    problem, waves = SimpleNamespace(joints=("left",)), np.array([[101.0]])
-    loaded = SimpleNamespace(kind="torque", system=system, dataset=dataset, problem=problem, waves=waves)
+    problem = SimpleNamespace(joints=("left",))
+    loaded = SimpleNamespace(kind="torque", system=system, dataset=dataset, problem=problem)
     for each in EFFECTS:
-        column = SimpleNamespace(joint="left", subject="", about="run", plausible=1.0)
+        column = SimpleNamespace(joint="left", subject="", about="run", plausible=1.0, waves=(101.0,))
         cause = each.cause(loaded, column, 0.1)  # type: ignore[arg-type]
         assert (cause.kind, cause.joints) == (each.name, ("left",))
         assert cause.what

@@ -39,11 +39,15 @@ def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class FitWindow:
-    """A ``window`` of a ``run`` (its number), along which effects add what the model of a ``fit`` lacks."""
+    """A ``window`` of a ``run`` (its number), along which effects add what the model of a ``fit`` lacks.
+
+    The ``columns`` are those of the effects that act, by the effect's name.
+    """
 
     fit: Fit
     run: int
     window: SampleWindow
+    columns: Mapping[str, Sequence[EffectColumn]] = field(default_factory=dict)
 
     @cached_property
     def motion(self) -> Motion:
@@ -170,6 +174,7 @@ class EffectColumn:
     joint: str = ""  # empty where the column acts on each joint with a size of its own
     subject: str = ""  # a body
     about: str = ""  # what sets it apart from other columns of the effect, such as an axis or a run
+    waves: tuple[float, ...] = ()  # of each joint, 1 / rad or 1 / m, where it repeats with the position
     largest: float = np.inf  # beyond it is no longer what the effect adds: torques are linear in small changes alone
     least: float = -np.inf  # below it is impossible, so that the column stands for something else
 

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.effects.effect import EffectColumn, EstimatedEffect
-from gtau.estimation.effects.known.ripple import ripple_waves
 from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, Noise, fit_mixed
 from gtau.estimation.effects.rows import EffectRows, Layout, effect_rows, linear_at, run_modes, weights_of
 from gtau.estimation.estimators.estimator import Fit
@@ -131,7 +130,6 @@ def estimate_effects(fit: Fit) -> Mixed | None:
 
     Where they move a gain, they move the torques that their columns are made of: these are then made again.
     """
-    fit = replace(fit, waves=ripple_waves(fit))
     mixed, gains, gain_rows = effects_beside(fit), fit.gains, fit.system.problem.gain_rows
     for _ in range(REPEATS if fit.free_gains else 0):
         if mixed is None:
@@ -143,7 +141,7 @@ def estimate_effects(fit: Fit) -> Mixed | None:
         solution = finish(fit.system.problem, values, weights_of(fit), fit.free_gains)
         # weighted as before: without the effects beside them, the values moved leave larger residuals
         solution = replace(solution, sigma=fit.solution.sigma)
-        if (again := effects_beside(replace(fit, solution=solution), mixed.mixed)) is None:
+        if (again := effects_beside(replace(fit, solution=solution), mixed)) is None:
             return None
         last = float(np.max(np.abs(again.likeliest[gain_rows] / gains - 1)))
         if last > FAR:
@@ -152,12 +150,16 @@ def estimate_effects(fit: Fit) -> Mixed | None:
     return mixed
 
 
-def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
-    """Estimate all effects as :func:`estimate_effects` does, with columns of the torques of the fit alone."""
+def effects_beside(fit: Fit, before: Mixed | None = None) -> Mixed | None:
+    """Estimate all effects as :func:`estimate_effects` does, with columns of the torques of the fit alone.
+
+    The effects that act are those found ``before``, from whose sizes it begins.
+    """
     windows = fit.dataset.windows(WINDOWS)
     if not windows:
         return None
-    rows = effect_rows(fit, windows)
+    rows = effect_rows(fit, windows, before.rows.acting if before else None)
+    near = before.mixed if before else None
     values, gain_rows = fit.solution.values, fit.system.problem.gain_rows
     noise: tuple[tuple[Noise, ...], ...] = ()
     absent = np.full(len(rows.layouts) + 1, np.inf)

@@ -47,6 +47,9 @@ ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (ex
 LEVELS = 4  # of noise at most, as the products of each are in memory
 MODES = 8  # largest modes that are kept of a longer series
 
+Acting = Sequence[tuple[Effect, tuple[EffectColumn, ...]]]
+"""The effects that act on a fit, with their columns."""
+
 
 def weights_of(fit: Fit) -> np.ndarray:
     """Compute the weights of the channels' errors, (c,)."""
@@ -162,6 +165,11 @@ class EffectRows:
     products: tuple[tuple[LagProducts, ...], ...]
     known: tuple[np.ndarray, np.ndarray]
 
+    @property
+    def acting(self) -> Acting:
+        """The effects that act, with their columns."""
+        return [(layout.effect, layout.columns) for layout in self.layouts]
+
     def groups(self, shared: bool) -> np.ndarray:
         """List the number of the effect of each own, or each ``shared`` column."""
         spans = [(layout.places, layout.effect.shared == shared) for layout in self.layouts]
@@ -204,9 +212,10 @@ class EffectRows:
         return places, root
 
 
-def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
+def effect_rows(fit: Fit, windows: Windows, acting: Acting | None = None) -> EffectRows:
     """Evaluate the columns of all effects along windows of the runs, in one pass; raises GtauError at a singularity."""
-    acting = [(effect, columns) for effect in EFFECTS if (columns := tuple(effect.columns(fit)))]
+    acting = acting or [(effect, columns) for effect in EFFECTS if (columns := tuple(effect.columns(fit)))]
+    by_name = {effect.name: columns for effect, columns in acting}
     modes, starts, layouts = run_modes(len(fit.dataset.runs)), {False: 0, True: 0}, []
     for effect, columns in acting:
         start = starts[effect.shared]
@@ -220,7 +229,7 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
     products: list[dict[int, LagProducts]] = [{} for _ in gains]
     numbers = noise_numbers(fit)
     for run, window in windows:
-        at = FitWindow(fit, run, window)
+        at = FitWindow(fit, run, window, by_name)
         A, keep = at.rows(torques)
         equations = at.equations(A) * weights[:, None, None]
         columns = -A[..., A.shape[-1] - len(plausible) :] * plausible * (weights / gains)[:, None, None]

@@ -80,7 +80,7 @@ class Fit:
     ``system`` are the equations solved: those given, or the same reweighted or along simulated motion. ``solve``
     solves them with other known payload values, ``solve_fixed`` for fewer parameters with the gains of ``solution``,
     which were estimated if ``free_gains``. ``unweighted`` are the equations with every row at full weight, if the
-    estimator weighted rows. ``waves`` (n, .) are the wave numbers of each joint's ripple, once they were sought.
+    estimator weighted rows.
     """
 
     system: System
@@ -89,7 +89,6 @@ class Fit:
     solve_fixed: Solve
     free_gains: bool
     unweighted: Problem | None = None
-    waves: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def dataset(self) -> Dataset:

@@ -23,8 +23,8 @@ AROUND = 250  # frequencies around a wave
 LOBE = 4 * FINE  # frequencies on either side, into which a wave leaks
 
 
-def ripple_waves(fit: Fit) -> np.ndarray:
-    """Find the wave numbers (n, WAVES) of each joint's ripple, 1 / rad or 1 / m, the clearest first; 0 for none."""
+def _waves(fit: Fit) -> np.ndarray:
+    """Find the wave numbers (n, WAVES) of each joint's ripple, the clearest first; 0 for none."""
     low, high = fit.dataset.travels
     ratios, waves = _over_median(fit), np.zeros((len(fit.gains), WAVES))
     for wave, ratio, travel in zip(waves, ratios, high - low, strict=True):
@@ -59,18 +59,20 @@ def _over_median(fit: Fit) -> np.ndarray:
 
 
 def _torques(at: FitWindow) -> Torques:
-    angles = at.window.samples().q[..., None] * at.fit.waves
-    sizes = rms_torques(at.fit)[:, None] * (at.fit.waves > 0)
+    waves = np.transpose([column.waves for column in at.columns[EFFECT.name][:WAVES]])
+    angles = at.window.samples().q[..., None] * waves
+    sizes = rms_torques(at.fit)[:, None] * (waves > 0)
     columns = np.concatenate([np.sin(angles) * sizes, np.cos(angles) * sizes], axis=-1)
     return at.decimated(columns.transpose(2, 1, 0))
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
-    return [EffectColumn(PLAUSIBLE, "of its torque")] * (2 * WAVES) if fit.waves.any() else []
+    waves = _waves(fit).T
+    return [EffectColumn(PLAUSIBLE, "of its torque", waves=tuple(wave)) for wave in (*waves, *waves) if waves.any()]
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    period = 2 * np.pi / fit.waves[fit.problem.joints.index(column.joint), 0]
+    period = 2 * np.pi / column.waves[fit.problem.joints.index(column.joint)]
     turns = fit.dataset.robot.joint(column.joint).turns
     every = f"{np.degrees(period):.3g} deg" if turns else f"{1e3 * period:.3g} mm"
     what = f"a torque of '{column.joint}' that repeats every {every} (ripple of its gear or motor)"
