@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,9 +50,34 @@ def test_torques_of_one_joint_in_another_unit_are_named(tmp_path: Path, factor: 
     factors = np.where(np.array(robot.actuated) == "j2", factor, 1.0)
     runs = [replace(run, command=np.asarray(run.command) * factors) for run in logged(robot, robot.gravity, False)]
     result = identify(robot, runs)
-    expected = f"torques of 'j2' that are {factor:g} times as large as the other joints' torques say"
+    expected = f"torques of 'j2' that are {factor:g} times as large as the other torques say"
     assert causes(result) == {expected: ("j2",)}
     assert not result.accepted
+
+
+WHOLE = (
+    "torques of run 'first' that are 1.4 times or of run 'second' that are 0.7 times as large as the other torques say"
+)
+ARM = ("j1", "j2", "j3", "j4")
+
+
+@pytest.mark.parametrize(
+    ("factors", "what", "joints"),
+    [(0.7, WHOLE, ARM), ([1, 1, -1, 1], "reversed torques of 'j3' in run 'second'", ("j3",)), (1.0, "", ())],
+)
+def test_torques_of_one_run_that_are_otherwise_are_named(
+    factors: Any, what: str, joints: tuple[str, ...], tmp_path: Path
+) -> None:
+    arm = stated_arm.robot(tmp_path, inertias=False)
+    (run,) = logged(arm, arm.gravity, False, seconds=16.0)
+    half = len(run.time) // 2
+    first, second = (
+        Run(name, run.joints, run.time[part], run.position[part], run.command[part], kind="torque")
+        for name, part in (("first", slice(half)), ("second", slice(half, None)))
+    )
+    result = identify(arm, [first, replace(second, command=second.command * factors)])
+    assert causes(result) == ({what: joints} if what else {})
+    assert result.accepted == (not what)
 
 
 def test_torques_as_they_are_reverse_nothing() -> None:

@@ -1,8 +1,8 @@
 """Fit the same rows with other readings of the columns of joints, as :mod:`.descriptions` does with other loads.
 
-- With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
-  contradicts the others. All reversed explain the same, with negative masses.
-- With the torques of one joint in another unit, by the scale that the other joints give them.
+- With torques of a joint, of a run, or of a joint in a run, reversed or in another unit: joints share the parameters of
+  their links, and runs all of them, so that the others give each a scale. All reversed explain the same, with negative
+  masses.
 - With the other sign of a joint's position, or of its current too, by the sign of its gain then; with its zero a
   quarter of a turn off, or the columns of two joints exchanged.
 - With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -28,108 +28,135 @@ from gtau.estimation.diagnostics.descriptions import (
     at_middle,
     described_otherwise,
     middle_windows,
-    one_after_the_other,
     refitted,
     residual_ratio,
 )
+from gtau.estimation.diagnostics.verdict import motors
 from gtau.estimation.effects.effect import EstimatedEffect, encoders
 from gtau.estimation.effects.estimate import CLOSE
 from gtau.estimation.effects.rows import weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.estimators.newton import solve, stacked, whitening
+from gtau.estimation.estimators.newton import whitening
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.regression.factors import KNOWN, MODEL, SIGNALS, delayed_signal
-from gtau.findings import Finding, Progress, listed
+from gtau.estimation.regression.factors import KNOWN, MODEL, delayed_signal, triangle
+from gtau.findings import Finding, Progress, enumerated, listed
 from gtau.robots.robot import Coupling, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 
-REVERSED_LEFT = 0.7  # part of the residual variance that is left with one torque reversed
-SCALED_LEFT = 0.85  # the same with the torques of one joint in another unit
-OTHER_UNIT = 1.5  # factor of torques, or the inverse, from which it is another unit
-SCALES = np.logspace(-4, 4, 49)  # of a joint's gain, of which the likeliest is refined
+OTHER_LEFT = 0.85  # part of the residual variance that is left with torques reversed or in another unit
+OTHER_UNIT = 1.5  # factor of a joint's torques, or the inverse, from which it is another unit
+OTHER_RUN = 1.2  # the same of torques in one run
+SCALES = np.logspace(-4, 4, 49)  # factors of torques, of which the likeliest is refined
 
-REVERSED_CHANNELS = "reversed channels"
+Group = tuple[str, str]
+"""A joint, or all where it is empty, and a run."""
 
 
-def reversed_torques(fit: Fit) -> EstimatedEffect | None:
-    """Find the joints whose torques are reversed against the other joints; None where gains have their own signs."""
-    if fit.free_gains:
+def other_torques(fit: Fit) -> EstimatedEffect | None:
+    """Find joints or runs whose torques are reversed or in another unit; None where gains are estimated.
+
+    One after the other, as long as each explains much of what is left.
+    """
+    problem, best, groups = fit.problem, fit.unrefined, _groups(fit)
+    if fit.free_gains or not groups:
         return None
-    problem, unaltered = fit.problem, fit.unrefined
+    block_runs = fit.system.block_positions[:, 0].astype(int)
 
-    def turned(joints: tuple[int, ...]) -> Fit:
+    def scaled(factors: np.ndarray) -> Fit:
         blocks = problem.blocks.copy()
-        blocks[:, joints, :, SIGNALS] *= -1
+        blocks[..., : KNOWN + 1] *= factors[block_runs][..., None, None]  # errors stay those of what was logged
         other = replace(problem, make_blocks=lambda: blocks)
         return replace(fit, system=replace(fit.system, problem=other), solution=fit.solve(other))
 
-    n = len(problem.joints)
-    joints, best = one_after_the_other(unaltered, turned, range(n), n // 2, REVERSED_LEFT)
-    if not joints:
+    factors, texts, joints = np.ones((len(fit.dataset.runs), len(problem.channels))), list[str](), list[str]()
+    while len(texts) < max(len(problem.joints) // 2, 1):
+        likely = _likeliest_factors(fit, factors, groups)
+        least = {group: OTHER_RUN if group[1] else OTHER_UNIT for group in likely}
+        if any(1 / least[group] < factor < least[group] for group, factor in likely.items()):
+            break
+        tried = {group: np.where(groups[group], factor, 1.0) * factors for group, factor in likely.items()}
+        fits = {group: scaled(changed) for group, changed in tried.items()}
+        group = min(fits, key=lambda group: residual_ratio(fits[group], best))
+        if residual_ratio(fits[group], best) >= OTHER_LEFT:
+            break
+        best, factors = fits[group], tried[group]
+        texts.append(_otherwise(fit.kind, likely))
+        joints += [joint for joint, _ in likely if joint] or motors(fit)
+    if not texts:
         return None
-    names = tuple(problem.joints[j] for j in joints)
-    text = f"reversed torques of {listed(names)}"
-    advice = f"check the signs of the {fit.kind} and position columns of {listed(names)}"
-    return described_otherwise(COLUMNS, Finding(REVERSED_CHANNELS, names, text=text, advice=advice), best, unaltered)
+    advice = f"check the signs of the {fit.kind} and position columns, the unit of the {fit.kind}s, and the gear ratio"
+    cause = Finding(COLUMNS, tuple(dict.fromkeys(joints)), text=enumerated(texts), advice=advice)
+    return described_otherwise(COLUMNS, cause, best, fit.unrefined, beside=False)
 
 
-def scaled_torques(fit: Fit) -> EstimatedEffect | None:
-    """Find the joint whose torques are in another unit than the others' torques; None where gains are estimated."""
-    problem = fit.problem
-    places = {joint: problem.joints.index(joint) for joint in fit.dataset.robot.motors}
-    if fit.free_gains or not places:
-        return None
-
-    def freed(joint: str, scale: float) -> Fit:
-        channels = list(problem.channels)
-        for k, channel in enumerate(channels):
-            if channel.joint != joint or not channel.kind.unknown_gain:
-                channels[k] = replace(channel, kind=replace(channel.kind, calibration="given"))
-        known = replace(problem, channels=tuple(channels), factored=problem.triangles, independent=problem.own_columns)
-        values = fit.solution.values.copy()
-        values[problem.unknowns.gains] *= np.where(known.unknown_gains, scale, 1.0)
-        return replace(fit, solution=solve(known, values, problem.weights, free_gains=True))
-
-    profiles = {joint: _scale_profile(fit, j) for joint, j in places.items()}
-    least = min(loss for _, loss in profiles.values())
-    likely = {joint: scale for joint, (scale, loss) in profiles.items() if loss < least + CLOSE}
-    unaltered, fits = freed("", 1.0), {joint: freed(joint, scale) for joint, scale in likely.items()}
-    best = min(fits.values(), key=lambda other: residual_ratio(other, unaltered))
-    scales = [fit.gains[places[joint]] / other.gains[places[joint]] for joint, other in fits.items()]
-    if residual_ratio(best, unaltered) >= SCALED_LEFT or any(1 / OTHER_UNIT < scale < OTHER_UNIT for scale in scales):
-        return None
-    times = (f"'{joint}' that are {float(f'{scale:.2g}'):g} times" for joint, scale in zip(fits, scales, strict=True))
-    text = f"{fit.kind}s of {' or of '.join(times)} as large as the other joints' {fit.kind}s say"
-    advice = f"check the unit of the {fit.kind}s of {listed(fits)}, and the gear ratio"
-    return described_otherwise(COLUMNS, Finding(COLUMNS, tuple(fits), text=text, advice=advice), best, unaltered)
+def _groups(fit: Fit) -> dict[Group, np.ndarray]:
+    """List whose torques may be otherwise, of a joint, a run, or a joint in a run, as masks (R, c)."""
+    joints = fit.problem.joints
+    masks = {(joint, ""): np.arange(len(fit.problem.channels)) == joints.index(joint) for joint in motors(fit)}
+    whole = {group: np.tile(mask, (len(fit.dataset.runs), 1)) for group, mask in masks.items()}
+    if len(fit.dataset.runs) < 2 or not whole:
+        return whole
+    of_runs = {**whole, ("", ""): np.any(list(whole.values()), axis=0)}
+    return whole | {
+        (joint, run.name): mask * (np.arange(len(mask)) == k)[:, None]
+        for (joint, _), mask in of_runs.items()
+        for k, run in enumerate(fit.dataset.runs)
+    }
 
 
-def _scale_profile(fit: Fit, j: int) -> tuple[float, float]:
-    """Find the likeliest of ``SCALES`` of the gain of joint ``j``, and minus its log-likelihood.
+def _otherwise(kind: str, likely: Mapping[Group, float]) -> str:
+    """Say whose torques are reversed, or by which factors they are larger."""
+    who = {" in ".join(filter(None, [joint and f"'{joint}'", run and f"run '{run}'"])): factor
+           for (joint, run), factor in likely.items()}  # fmt: skip
+    if set(who.values()) == {-1.0}:
+        return f"reversed {kind}s of {' or of '.join(who)}"
+    times = " or of ".join(f"{name} that are {float(f'{factor:.2g}'):g} times" for name, factor in who.items())
+    return f"{kind}s of {times} as large as the other {kind}s say"
 
-    Errors ``y - X theta`` of the other channels and ``v - c (X_j theta + k)`` of this one, c = 1 / scale, are linear in
-    theta for any c; in the eigenvectors of ``X_j^T X_j``, X being whitened, no c needs a solution of its own.
+
+def _likeliest_factors(fit: Fit, factors: np.ndarray, groups: Mapping[Group, np.ndarray]) -> dict[Group, float]:
+    """Find the likeliest factor of a group's torques beside known ``factors`` (R, c); of all groups that are as likely.
+
+    Errors ``v - X theta - k`` of other rows and ``v - s (X theta + k)`` of the group are linear in theta for any factor
+    s; in the eigenvectors of the group's ``X^T X``, X being whitened, no s needs a solution of its own.
     """
-    problem, weights = fit.problem, weights_of(fit)
-    blocks = stacked(problem) * weights[:, None, None]
-    X = blocks[..., MODEL] / fit.solution.gains[:, None, None]
-    k = blocks[..., KNOWN] / fit.solution.gains[:, None]
-    v = delayed_signal(blocks, fit.solution.delays)
-    others = np.arange(len(X)) != j
-    rest = np.concatenate([*X[others], problem.known[:, :-1]])
-    y = np.append(v[others] - k[others], problem.known[:, -1])
-    B = whitening(np.concatenate([rest, X[j]]))
-    _, s, V = np.linalg.svd(X[j] @ B)
-    B = B @ V.T
-    shares = np.append(s**2, np.zeros(B.shape[1] - len(s)))
-    c = 1 / SCALES[:, None]
-    theta = ((y @ rest @ B) + c * (v[j] - c * k[j]) @ X[j] @ B) / (1 - shares + c**2 * shares) @ B.T
-    factors = np.where(others, 1.0, c)[:, :, None]
-    squares = np.sum((v - factors * (np.einsum("sk,npk->snp", theta, X) + k)) ** 2, axis=-1)
-    losses = np.log(np.maximum(squares, 1e-300)) @ problem.total_rows / 2
-    return float(SCALES[np.argmin(losses)]), float(losses.min())
+    problem, block_runs = fit.problem, fit.system.block_positions[:, 0]
+    runs = [problem.blocks[block_runs == k] for k in range(len(factors))]
+    full = np.zeros((runs[0].shape[-1],) * 2)
+    blocks = np.array([[triangle(full, *channel) for channel in run.swapaxes(0, 1)] for run in runs])
+    blocks *= weights_of(fit)[:, None, None]
+    by = factors[..., None] / fit.solution.gains[:, None]
+    X, k, v = blocks[..., MODEL] * by[..., None], blocks[..., KNOWN] * by, delayed_signal(blocks, fit.solution.delays)
+    known, y = problem.known[:, :-1], problem.known[:, -1]
+    B = whitening(np.concatenate([*X.reshape(-1, *X.shape[2:]), known]))
+
+    def likeliest(mask: np.ndarray) -> tuple[float, float]:
+        """Find the likeliest factor, and minus its log-likelihood."""
+        of_group, of_others = np.concatenate(X[mask]), np.concatenate([*X[~mask], known])
+        _, s, V = np.linalg.svd(of_group @ B)
+        basis, shares = B @ V.T, np.append(s**2, np.zeros(len(V) - len(s)))
+        others = np.append((v - k)[~mask], y) @ of_others
+        logged, carried = (part[mask].ravel() @ of_group for part in (v, k))
+        grid = np.append(SCALES, -SCALES)
+        for width in (1 / 6, 1 / 150, 0.0):
+            s = grid[:, None]
+            theta = (others + s * (logged - s * carried)) @ basis / (1 - shares + s**2 * shares) @ basis.T
+            by = np.where(mask, s[..., None], 1.0)[..., None]
+            squares = np.sum((v - by * (np.einsum("sk,rcpk->srcp", theta, X) + k)) ** 2, axis=(1, 3))
+            losses = np.log(np.maximum(squares, 1e-300)) @ problem.total_rows / 2
+            best = float(grid[np.argmin(losses)])
+            grid = best * np.logspace(-width, width, len(SCALES))
+        return best, float(losses.min())
+
+    found = {group: likeliest(mask) for group, mask in groups.items()}
+    least = min(loss for _, loss in found.values())
+    return {
+        group: -1.0 if 1 / OTHER_UNIT < -factor < OTHER_UNIT else factor
+        for group, (factor, loss) in found.items()
+        if loss < least + CLOSE
+    }
 
 
 def other_columns(fit: Fit, beside: bool, than: EstimatedEffect | None, progress: Progress) -> EstimatedEffect | None:

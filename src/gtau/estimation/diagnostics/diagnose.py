@@ -120,7 +120,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             # effects beside parameters that no body has explain nothing
             estimates = (estimates_of(fit, Examination(mixed=moving), correlated=True) for moving in (None, mixed))
             alone, beside = (any(gains.impossible_parameters(fit, values)) for values in estimates)
-            scaled = columns.scaled_torques(fit)
+            scaled = columns.other_torques(fit)
             wrong = misfit or beside or bool(contradicting or scaled or (fit.free_gains and fit.gains.min() < 0))
             others = _other_descriptions(fit, wrong, lacking, missing, (*effects, *causes), progress)
             refit = _best_described(chain([loads, scaled], others))
@@ -171,8 +171,6 @@ def _other_descriptions(
     """
     if wrong or lacking:
         yield descriptions.other_body(fit)
-    if wrong:
-        yield columns.reversed_torques(fit)
     tilted = any(effect.effect == "gravity" and effect.share > gravity.REFUTED_SHARE for effect in effects)
     others = list[EstimatedEffect | None]()
     if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.columns import REVERSED_CHANNELS
 from gtau.estimation.diagnostics.verdict import (
     FAR_APART,
     LARGE_CURRENT,
@@ -271,7 +270,7 @@ def reversed_by_file(fit: Fit, audit: InertiaAudit, estimates: Estimates) -> Ite
         return
     names, kind = motors(fit), fit.kind
     text = f"the {kind}s of {listed(names)} look reversed: the inertias of the robot file contradict their sign"
-    yield contradiction(REVERSED_CHANNELS, names, text, f"check the signs of the {kind} and position columns")
+    yield contradiction("reversed channels", names, text, f"check the signs of the {kind} and position columns")
 
 
 def _first_moments(audit: InertiaAudit, stds: Mapping[str, float]) -> tuple[np.ndarray, set[str]]:
