@@ -117,13 +117,24 @@ def test_an_undeclared_load_of_a_validation_run_is_named(
     assert (high - low) / 2 < 0.1
 
 
-@pytest.mark.parametrize(("factor", "times"), [(1000.0, "a thousand times"), (0.001, "a thousandth of"), (30.0, "")])
-def test_a_validation_run_in_another_unit_is_named(model: Result, factor: float, times: str) -> None:
+OTHERWISE = {
+    "'left' and 'right' are about 1000": (1e3, 1e3),
+    "'left' are about 0.001": (1e-3, 1),
+    "'right' are about -1": (1, -1),
+    "": (3, 3),
+}
+
+
+@pytest.mark.parametrize("times", OTHERWISE)
+def test_columns_of_another_sign_or_unit_are_named(model: Result, times: str, tmp_path: Path) -> None:
     run = Plant(noise=0.01).run("check", seed=7)
-    scaled = replace(run, command=factor * run.command)
-    found = other_unit(scaled, model.validate(scaled))
-    named = f"all currents are about {times} what the model predicts"
+    scaled = replace(run, command=np.array(OTHERWISE[times]) * run.command)
+    found = other_unit(model.predict(scaled), scaled.kind)
+    named = f"currents of {times} times what the model predicts"
     assert (named in str(found)) == bool(times)
+    if times:
+        (weighed,) = weigh(model, model.robot, [replace(scaled, payload=Payload(name="unknown"))])
+        assert named in str(weighed.verdict)
 
 
 def test_a_validation_run_too_short_to_name_a_load_is_predicted_all_the_same(model: Result) -> None:

@@ -99,7 +99,7 @@ def predicted(
     }
     prediction = predict(result, replace(run, **beginning) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
-    load = None if used or cut else other_unit(run, errors) or undeclared_load(result, run, errors, progress)
+    load = None if used or cut else other_unit(prediction, run.kind) or undeclared_load(result, run, errors, progress)
     notes = (*((load,) if load else ()), *prediction.notes)
     return RunEvidence(run, used, prediction.rows, prediction if whole else None, errors, cut=cut, notes=notes)
 

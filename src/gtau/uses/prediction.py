@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError, quoted, spelled
+from gtau.estimation.diagnostics.descriptions import proportions, times_of
 from gtau.estimation.diagnostics.verdict import contradiction
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.assembly import known_values
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-THOUSAND = 500.0, 2000.0  # factors that a unit a thousand times larger explains, as predictions are a few per cent off
+OTHER_UNIT = 5.0  # factor of what is predicted, or the inverse, from which a unit is wrong; 2 with a payload of a five-bar
 
 
 @spelled(plot="gtau.plot(prediction)")
@@ -133,15 +134,19 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
     return tuple(errors)
 
 
-def other_unit(run: Run, errors: Sequence[TorqueError]) -> Finding | None:
-    """Find that all torques of a run are a thousand times the predicted ones, or a thousandth, by their ``errors``."""
-    shares = [(error.rms_raw or 0.0) / (error.signal_raw or np.inf) for error in errors]  # |1 - 1 / factor| each
-    least, most = THOUSAND
-    larger = all(1 - 1 / least < share < 1 - 1 / most for share in shares)
-    if not shares or not (larger or all(least < 1 + share < most for share in shares)):
+def other_unit(prediction: Prediction, kind: str) -> Finding | None:
+    """Find the joints whose currents or torques are reversed or in another unit, by what the model predicts."""
+    valid = prediction.valid.all(axis=1)
+    factors = proportions(prediction.predicted[valid].T, prediction.measured[valid].T)
+    other = {
+        joint: factor
+        for joint, factor in zip(prediction.joints, factors, strict=True)
+        if factor < 0 or abs(np.log(factor)) > np.log(OTHER_UNIT)
+    }
+    if not other:
         return None
-    text = f"all {run.kind}s are about {'a thousand times' if larger else 'a thousandth of'} what the model predicts"
-    advice = f"check the unit of the {run.kind}s ('units: {{{run.kind}: ...}}')"
+    advice = f"check the signs and the unit of these columns ('units: {{{kind}: ...}}')"
+    text = f"{times_of(kind, other)} what the model predicts"
     return contradiction("other unit", (), text, advice, shown_as="unit")
 
 

@@ -34,6 +34,7 @@ from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run
 from gtau.uses.identify import require_same
+from gtau.uses.prediction import other_unit, predict
 
 FRICTION_CHANGE = 0.2  # relative standard deviation of a model's friction on another day
 GAIN_CHANGE = 0.03  # relative standard deviation of a gain on another day, where only one load is logged
@@ -130,13 +131,23 @@ def weigh(
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, by_model)
     vector = Estimates(system.problem.unknowns, solution.values, total, none, none, freedom)
-    contradiction = _contradiction(system, solution, g_tau) if by_model else None
+    contradiction = _unlike_predictions(model, chosen[0])
+    if contradiction is None and by_model:
+        contradiction = _contradiction(system, solution, g_tau)
     judged = {} if contradiction is None else {run.payload.name: contradiction for run in chosen if run.payload}
     return tuple(
         replace(payload, weighed=payload.weighed and replace(payload.weighed, by_model=by_model))
         for payload in payload_estimates(system, vector, judged)
         if "m" not in payload.known
     )
+
+
+def _unlike_predictions(model: IdentifiedModel, run: Run) -> Finding | None:
+    """Find columns of another sign or unit in a run, where it is long enough for predictions."""
+    try:
+        return other_unit(predict(model, replace(run, payload=None)), run.kind)
+    except GtauError:
+        return None
 
 
 def _contradiction(system: System, solution: Solution, gains: np.ndarray) -> Finding | None:

@@ -12,7 +12,7 @@ a linear test points anywhere: the robot is fitted again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -308,14 +308,25 @@ def _differences(fit: Fit, other: Fit, run: int) -> str:
     theta[problem.unknowns.at(shared)] = other.solution.theta[other.problem.unknowns.at(shared)]
     R = np.concatenate([*problem.blocks[fit.system.block_positions[:, 0] == run]], axis=1)[: len(fit.gains)]
     expected, logged = R[..., : KNOWN + 1] @ theta / other.gains[:, None], R[..., SIGNAL]
-    factors = np.sum(expected * logged, axis=1) / np.sum(expected**2, axis=1)
-    sizes, apart, rest = (
-        np.linalg.norm(part, axis=1) for part in (logged, logged - expected, logged - factors[:, None] * expected)
-    )
-    scaled = (rest < MISFIT_GIVEN * sizes) & (np.abs(factors - 1) > MISFIT_GIVEN)
-    odd = scaled if scaled.any() else apart > MISFIT_GIVEN * sizes
-    whose = f", whose {fit.kind}s of {listed(np.array(problem.joints)[odd].tolist())}"
-    if scaled.any():
-        times = " and ".join(f"{float(f'{factor:.1g}'):g}" for factor in factors[odd])
-        return f"{whose} are {times} times what the other runs predict"
-    return f"{whose} the other runs do not predict" if odd.any() else ""
+    factors = proportions(expected, logged)
+    scaled = {
+        joint: factor for joint, factor in zip(problem.joints, factors, strict=True) if abs(factor - 1) > MISFIT_GIVEN
+    }
+    if scaled:
+        return f", whose {times_of(fit.kind, scaled)} what the other runs predict"
+    odd = np.linalg.norm(logged - expected, axis=1) > MISFIT_GIVEN * np.linalg.norm(logged, axis=1)
+    whose = listed(np.array(problem.joints)[odd].tolist())
+    return f", whose {fit.kind}s of {whose} the other runs do not predict" if odd.any() else ""
+
+
+def proportions(expected: np.ndarray, logged: np.ndarray) -> list[float]:
+    """Compute the factor by which each joint's logged torques (n, N) are the expected ones; NaN where none fits."""
+    factors = np.sum(expected * logged, axis=1) / np.maximum(np.sum(expected**2, axis=1), 1e-300)
+    rest, sizes = (np.linalg.norm(part, axis=1) for part in (logged - factors[:, None] * expected, logged))
+    return np.where(rest < MISFIT_GIVEN * sizes, factors, np.nan).tolist()
+
+
+def times_of(kind: str, factors: Mapping[str, float]) -> str:
+    """Say by which factors the torques of joints are something else."""
+    times = " and ".join(dict.fromkeys(f"{float(f'{factor:.1g}'):g}" for factor in factors.values()))
+    return f"{kind}s of {listed(factors)} are about {times} times"
