@@ -13,7 +13,7 @@ from five_bar_logs import JOINTS, Plant, pair
 from gravity_logs import logged
 
 from gtau.estimation.diagnostics.columns import _with_parallelogram
-from gtau.findings import Grade
+from gtau.findings import Grade, listed
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
@@ -33,14 +33,19 @@ def parallelogram(robot: Robot) -> tuple[str, Robot]:
     return joint, other
 
 
-@pytest.mark.parametrize("joint", ["j2", pytest.param("wrist_1_joint", marks=pytest.mark.slow)])
-def test_one_reversed_torque_is_named(tmp_path: Path, joint: str) -> None:
-    robot = UR10E if joint in UR10E.actuated else stated_arm.robot(tmp_path, inertias=False)
-    signs = np.where(np.array(robot.actuated) == joint, -1.0, 1.0)
+REVERSED = [("j2",), ("wrist_1_joint",), ("shoulder_lift_joint", "wrist_1_joint")]
+
+
+@pytest.mark.parametrize(
+    "turned", [pytest.param(joints, marks=[pytest.mark.slow] * (k > 0)) for k, joints in enumerate(REVERSED)]
+)
+def test_reversed_torques_are_named(tmp_path: Path, turned: tuple[str, ...]) -> None:
+    robot = UR10E if turned[0] in UR10E.actuated else stated_arm.robot(tmp_path, inertias=False)
+    signs = np.where(np.isin(robot.actuated, turned), -1.0, 1.0)
     runs = [replace(run, command=np.asarray(run.command) * signs) for run in logged(robot, robot.gravity, False)]
     result = identify(robot, runs)
     ((what, joints),) = causes(result).items()
-    assert (what, joints) == (f"reversed torques of '{joint}'", (joint,))
+    assert (what, joints) == (f"reversed torques of {listed(turned)}", turned)
     assert not result.accepted
 
 

@@ -1,8 +1,8 @@
 """Fit the same rows with other readings of the columns of joints, as :mod:`.descriptions` does with other loads.
 
 - With torques of a joint, of a run, or of a joint in a run, reversed or in another unit: joints share the parameters of
-  their links, and runs all of them, so that the others give each a scale. All reversed explain the same, with negative
-  masses.
+  their links, and runs all of them, so that the others give each a scale. Two joints are tried too, as two that are
+  reversed hide each other.
 - With the other sign of a joint's position, or of its current too, by the sign of its gain then; with its zero a
   quarter of a turn off, or the columns of two joints exchanged.
 - With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -25,13 +25,14 @@ from gtau.estimation.diagnostics.descriptions import (
     ALIKE,
     COLUMNS,
     LEFT,
+    MISFIT_GIVEN,
     at_middle,
     described_otherwise,
     middle_windows,
     refitted,
     residual_ratio,
 )
-from gtau.estimation.diagnostics.verdict import motors
+from gtau.estimation.diagnostics.verdict import motors, unexplained_shares
 from gtau.estimation.effects.effect import EstimatedEffect, encoders
 from gtau.estimation.effects.estimate import CLOSE
 from gtau.estimation.effects.rows import weights_of
@@ -50,8 +51,8 @@ OTHER_UNIT = 1.5  # factor of a joint's torques, or the inverse, from which it i
 OTHER_RUN = 1.2  # the same of torques in one run
 SCALES = np.logspace(-4, 4, 49)  # factors of torques, of which the likeliest is refined
 
-Group = tuple[str, str]
-"""A joint, or all where it is empty, and a run."""
+Group = tuple[tuple[str, ...], str]
+"""Joints, all where it is empty, and a run, all where it is empty."""
 
 
 def other_torques(fit: Fit) -> EstimatedEffect | None:
@@ -83,33 +84,38 @@ def other_torques(fit: Fit) -> EstimatedEffect | None:
             break
         best, factors = fits[group], tried[group]
         texts.append(_otherwise(fit.kind, likely))
-        joints += [joint for joint, _ in likely if joint] or motors(fit)
+        joints += chain(*(chosen or motors(fit) for chosen, _ in likely))
     if not texts:
         return None
+    n = len(problem.joints)
+    if 2 * np.sum((factors[:, :n] < 0).all(axis=0)) + 1 >= n:  # all torques reversed fit as well, with negative masses
+        texts[-1] += ", or of all other joints,"
     advice = f"check the signs of the {fit.kind} and position columns, the unit of the {fit.kind}s, and the gear ratio"
     cause = Finding(COLUMNS, tuple(dict.fromkeys(joints)), text=enumerated(texts), advice=advice)
     return described_otherwise(COLUMNS, cause, best, fit.unrefined, beside=False)
 
 
 def _groups(fit: Fit) -> dict[Group, np.ndarray]:
-    """List whose torques may be otherwise, of a joint, a run, or a joint in a run, as masks (R, c)."""
-    joints = fit.problem.joints
-    masks = {(joint, ""): np.arange(len(fit.problem.channels)) == joints.index(joint) for joint in motors(fit)}
-    whole = {group: np.tile(mask, (len(fit.dataset.runs), 1)) for group, mask in masks.items()}
-    if len(fit.dataset.runs) < 2 or not whole:
-        return whole
-    of_runs = {**whole, ("", ""): np.any(list(whole.values()), axis=0)}
-    return whole | {
-        (joint, run.name): mask * (np.arange(len(mask)) == k)[:, None]
-        for (joint, _), mask in of_runs.items()
-        for k, run in enumerate(fit.dataset.runs)
+    """List whose torques may be otherwise, as masks (R, c): a joint's or two joints', a run's, a joint's in a run."""
+    runs, channels, joints = fit.dataset.runs, range(len(fit.problem.channels)), motors(fit)
+    alone = [(joint,) for joint in joints]
+    pairs = combinations(joints, 2) if unexplained_shares(fit).max() > MISFIT_GIVEN else ()
+    groups = [(chosen, "") for chosen in (*alone, *pairs)]
+    groups += [(chosen, run.name) for chosen in (*alone, ()) for run in runs if len(runs) > 1]
+    names = np.array(fit.problem.joints)
+    return {
+        (chosen, name): np.outer(
+            [name in ("", run.name) for run in runs],
+            np.isin(channels, np.flatnonzero(np.isin(names, chosen or joints))),
+        )
+        for chosen, name in groups
     }
 
 
 def _otherwise(kind: str, likely: Mapping[Group, float]) -> str:
     """Say whose torques are reversed, or by which factors they are larger."""
-    who = {" in ".join(filter(None, [joint and f"'{joint}'", run and f"run '{run}'"])): factor
-           for (joint, run), factor in likely.items()}  # fmt: skip
+    who = {" in ".join(filter(None, [listed(joints), run and f"run '{run}'"])): factor
+           for (joints, run), factor in likely.items()}  # fmt: skip
     if set(who.values()) == {-1.0}:
         return f"reversed {kind}s of {' or of '.join(who)}"
     times = " or of ".join(f"{name} that are {float(f'{factor:.2g}'):g} times" for name, factor in who.items())
