@@ -40,9 +40,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-OTHER_UNIT = (
-    5.0  # factor of what is predicted, or the inverse, from which a unit is wrong; 2 with a payload of a five-bar
-)
+OTHER_UNIT = 5.0  # factor of what is predicted, or the inverse, from which a unit is wrong; an undeclared load made 2
 
 
 @spelled(plot="gtau.plot(prediction)")
