@@ -137,6 +137,12 @@ def test_columns_of_another_sign_or_unit_are_named(model: Result, times: str, tm
         assert named in str(weighed.verdict)
 
 
+def test_a_payload_that_reverses_the_torques_of_a_balanced_joint_is_no_other_sign(model: Result) -> None:
+    prediction = model.predict(Plant(noise=0.01).run("check", seed=7))
+    lifted = prediction.friction - 4 * (prediction.predicted - prediction.friction)
+    assert other_unit(replace(prediction, measured=lifted), "current") is None
+
+
 def test_a_validation_run_too_short_to_name_a_load_is_predicted_all_the_same(model: Result) -> None:
     run = Plant(noise=0.01).run("check", payload=LEAD, seed=7)
     short = Run("short", run.joints, run.time[:200], run.position[:200], run.command[:200])

@@ -135,14 +135,21 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
 
 
 def other_unit(prediction: Prediction, kind: str) -> Finding | None:
-    """Find the joints whose currents or torques are reversed or in another unit, by what the model predicts."""
+    """Find the joints whose currents or torques are reversed or in another unit, by what the model predicts.
+
+    Friction must be otherwise too, as a payload may reverse the rest of a balanced joint.
+    """
     valid = prediction.valid.all(axis=1)
-    factors = proportions(prediction.predicted[valid].T, prediction.measured[valid].T)
-    other = {
-        joint: factor
-        for joint, factor in zip(prediction.joints, factors, strict=True)
-        if factor < 0 or abs(np.log(factor)) > np.log(OTHER_UNIT)
-    }
+    friction, predicted, measured = (
+        torques[valid].T for torques in (prediction.friction, prediction.predicted, prediction.measured)
+    )
+    other = dict[str, float]()
+    for j, (joint, factor) in enumerate(zip(prediction.joints, proportions(predicted, measured), strict=True)):
+        parts = np.column_stack([friction[j], predicted[j] - friction[j]])
+        factors = np.linalg.lstsq(parts, measured[j], rcond=None)[0]
+        unlike = (factors < 0) | (np.abs(np.log(np.abs(factors) + 1e-300)) > np.log(OTHER_UNIT))
+        if unlike.all() and np.isfinite(factor):
+            other[joint] = factor
     if not other:
         return None
     advice = f"check the signs and the unit of these columns ('units: {{{kind}: ...}}')"

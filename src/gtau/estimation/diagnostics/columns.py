@@ -49,7 +49,7 @@ from gtau.signals.preparation.prepared_run import SampleWindow
 OTHER_LEFT = 0.85  # part of the residual variance that is left with torques reversed or in another unit
 OTHER_UNIT = 1.5  # factor of a joint's torques, or the inverse, from which it is another unit
 OTHER_RUN = 1.2  # the same of torques in one run
-SCALES = np.logspace(-4, 4, 49)  # factors of torques, of which the likeliest is refined
+SCALES = np.logspace(-4, 4, 25)  # factors of torques, of which the likeliest is refined
 
 Group = tuple[tuple[str, ...], str]
 """Joints, all where it is empty, and a run, all where it is empty."""
@@ -60,9 +60,9 @@ def other_torques(fit: Fit) -> EstimatedEffect | None:
 
     One after the other, as long as each explains much of what is left.
     """
-    problem, best, groups = fit.problem, fit.unrefined, _groups(fit)
-    if fit.free_gains or not groups:
+    if fit.free_gains or not (groups := _groups(fit)):
         return None
+    problem, best = fit.problem, fit.unrefined
     block_runs = fit.system.block_positions[:, 0].astype(int)
 
     def scaled(factors: np.ndarray) -> Fit:
@@ -146,7 +146,7 @@ def _likeliest_factors(fit: Fit, factors: np.ndarray, groups: Mapping[Group, np.
         others = np.append((v - k)[~mask], y) @ of_others
         logged, carried = (part[mask].ravel() @ of_group for part in (v, k))
         grid = np.append(SCALES, -SCALES)
-        for width in (1 / 6, 1 / 150, 0.0):
+        for width in (1 / 3, 1 / 70, 0.0):  # decades on either side, refined twice
             s = grid[:, None]
             theta = (others + s * (logged - s * carried)) @ basis / (1 - shares + s**2 * shares) @ basis.T
             by = np.where(mask, s[..., None], 1.0)[..., None]
