@@ -67,7 +67,7 @@ def other_torques(fit: Fit) -> EstimatedEffect | None:
 
     def scaled(factors: np.ndarray) -> Fit:
         blocks = problem.blocks.copy()
-        blocks[..., : KNOWN + 1] *= factors[block_runs][..., None, None]  # errors stay those of what was logged
+        blocks[..., : KNOWN + 1] *= factors[block_runs][..., None, None]  # errors stay in the unit of the log
         other = replace(problem, make_blocks=lambda: blocks)
         return replace(fit, system=replace(fit.system, problem=other), solution=fit.solve(other))
 

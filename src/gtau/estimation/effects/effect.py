@@ -41,7 +41,7 @@ def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
 class FitWindow:
     """A ``window`` of a ``run`` (its number), along which effects add what the model of a ``fit`` lacks.
 
-    The ``columns`` are those of the effects that act, by the effect's name.
+    The effects that act have ``columns``, by the effect's name.
     """
 
     fit: Fit
