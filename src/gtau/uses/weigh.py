@@ -131,10 +131,8 @@ def weigh(
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, by_model)
     vector = Estimates(system.problem.unknowns, solution.values, total, none, none, freedom)
-    contradiction = _unlike_predictions(model, chosen[0])
-    if contradiction is None and by_model:
-        contradiction = _contradiction(system, solution, g_tau)
-    judged = {} if contradiction is None else {run.payload.name: contradiction for run in chosen if run.payload}
+    wrong = _unlike_predictions(model, chosen[0]) or (_contradiction(system, solution, g_tau) if by_model else None)
+    judged = {} if wrong is None else {run.payload.name: wrong for run in chosen if run.payload}
     return tuple(
         replace(payload, weighed=payload.weighed and replace(payload.weighed, by_model=by_model))
         for payload in payload_estimates(system, vector, judged)
