@@ -156,11 +156,11 @@ def _likeliest_factors(fit: Fit, factors: np.ndarray, groups: Mapping[Group, np.
             grid = best * np.logspace(-width, width, len(SCALES))
         return best, float(losses.min())
 
-    found = {group: likeliest(mask) for group, mask in groups.items()}
-    least = min(loss for _, loss in found.values())
+    profiles = {group: likeliest(mask) for group, mask in groups.items()}
+    least = min(loss for _, loss in profiles.values())
     return {
         group: -1.0 if 1 / OTHER_UNIT < -factor < OTHER_UNIT else factor
-        for group, (factor, loss) in found.items()
+        for group, (factor, loss) in profiles.items()
         if loss < least + CLOSE
     }
 
