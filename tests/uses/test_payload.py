@@ -126,7 +126,7 @@ OTHERWISE = {
 
 
 @pytest.mark.parametrize("times", OTHERWISE)
-def test_columns_of_another_sign_or_unit_are_named(model: Result, times: str, tmp_path: Path) -> None:
+def test_columns_of_another_sign_or_unit_are_named(model: Result, times: str) -> None:
     run = Plant(noise=0.01).run("check", seed=7)
     scaled = replace(run, command=np.array(OTHERWISE[times]) * run.command)
     found = other_unit(model.predict(scaled), scaled.kind)

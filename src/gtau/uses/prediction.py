@@ -153,7 +153,7 @@ def other_unit(prediction: Prediction, kind: str) -> Finding | None:
     if not other:
         return None
     advice = f"check the signs and the unit of these columns ('units: {{{kind}: ...}}')"
-    text = f"{times_of(kind, other)} what the model predicts"
+    text = f"{kind}s of {times_of(other)} what the model predicts"
     return contradiction("other unit", (), text, advice, shown_as="unit")
 
 

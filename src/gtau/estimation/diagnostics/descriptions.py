@@ -313,7 +313,7 @@ def _differences(fit: Fit, other: Fit, run: int) -> str:
         joint: factor for joint, factor in zip(problem.joints, factors, strict=True) if abs(factor - 1) > MISFIT_GIVEN
     }
     if scaled:
-        return f", whose {times_of(fit.kind, scaled)} what the other runs predict"
+        return f", whose {fit.kind}s of {times_of(scaled)} what the other runs predict"
     odd = np.linalg.norm(logged - expected, axis=1) > MISFIT_GIVEN * np.linalg.norm(logged, axis=1)
     whose = listed(np.array(problem.joints)[odd].tolist())
     return f", whose {fit.kind}s of {whose} the other runs do not predict" if odd.any() else ""
@@ -326,7 +326,7 @@ def proportions(expected: np.ndarray, logged: np.ndarray) -> list[float]:
     return np.where(rest < MISFIT_GIVEN * sizes, factors, np.nan).tolist()
 
 
-def times_of(kind: str, factors: Mapping[str, float]) -> str:
-    """Say by which factors the torques of joints are something else."""
+def times_of(factors: Mapping[str, float]) -> str:
+    """Say by which factors the torques of joints are larger."""
     times = " and ".join(dict.fromkeys(f"{float(f'{factor:.1g}'):g}" for factor in factors.values()))
-    return f"{kind}s of {listed(factors)} are about {times} times"
+    return f"{listed(factors)} are about {times} times"
